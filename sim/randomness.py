@@ -32,6 +32,7 @@ class Stream(IntEnum):
     CLOCKS = 13
     SENSORS = 14
     REPORTS = 15
+    SURVEY = 16
 
 
 def stream(seed: int, trial: int, name: Stream) -> np.random.Generator:

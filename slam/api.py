@@ -23,8 +23,8 @@ from cellslam.slam.model.walls import normals
 
 @dataclass(frozen=True, repr=False)
 class Setup(Described):
-    """What is known before the drive: links, sites with offset priors, odometry data sheet, start pose and deviations
-    (6,).
+    """What is known before the drive: links, sites with offset priors and surveys, odometry data sheet, start pose and
+    deviations (6,).
 
     `map`: of VTs, as earlier drives left it; None: none is known. `truth` is None but for an estimator that declares
     `requires_truth`.
@@ -37,6 +37,16 @@ class Setup(Described):
     start_std: Floats
     truth: Truth | None = None
     map: VtMap | None = None
+
+    @property
+    def surveyed(self) -> tuple[Ints, Floats, Floats]:
+        """The links (n,) of surveyed sites, where these stand (n, 3), and the deviations (n, 3) of the survey, in m.
+
+        Links of one site share the error of its survey.
+        """
+        place, std = (column[self.links.site] for column in (self.sites.surveyed_m, self.sites.survey_std_m))
+        link = np.flatnonzero(np.isfinite(place).all(axis=1))
+        return link, place[link], std[link]
 
 
 @dataclass(frozen=True, repr=False)

@@ -33,6 +33,11 @@ class GivenAssociations(JointFilter):
         self._vt_of = _truth(setup).measurement_vt
         super().start(setup, rng)
 
+    def _surveyed_idents(self, link: Ints) -> Ints:
+        truth = _truth(self._setup)
+        vt = truth.site_vts[self._setup.links.site[link]]
+        return np.where(vt >= 0, vt, len(truth.vts) + link)  # of which no path exists: no measurement is of it
+
     def _given(self, measurements: FusedMeasurements) -> Ints:
         return np.array(self._vt_of[measurements.row], np.int64)
 
@@ -78,7 +83,7 @@ class KnownMap(EkfSlam):
         """Put every VT of a link's site on that link."""
         vts = self._truth.vts
         link, vt = np.nonzero(self._setup.links.site[:, None] == vts.site)
-        mixture.know(link, vt, vts.position_m[vt], LONG_AGO)
+        mixture.know(link, vt, vts.position_m[vt], np.zeros((len(vt), 3)), LONG_AGO)
 
 
 def _truth(setup: Setup) -> Truth:

@@ -13,7 +13,8 @@ and m, the error of the mean of the filter that has this covariance:
                  which with e = s e', s <- a s leaves P as it is, but for (1 - a^2) / s^2 on its diagonal
     entering     an error that persists begins with variance 1
     measurement  z = h(r, v) + b + load e + white: H, R            `linear_model.tracked_measurements`
-      birth      first of a VT: v = H_v^-1 (z - H_r r - b - load e), from a flat prior         `_give_births`
+      survey     v of a surveyed transmitter is there from the start   `linear_model.survey_of`
+      birth      first of another VT: v = H_v^-1 (z - H_r r - b - load e), from a flat prior         `_give_births`
       update     S = H P H^T + R = L L^T,  G = L^-1 H P,  P <- P - G^T G
                  m <- m + G^T L^-1 (residual - H m)                                            `_update`
     leaving      rows and columns of what is not met again are left out, which is exact        `Joint.only`
@@ -108,10 +109,11 @@ def bound(
 ) -> BoundResult:
     """Return the posterior Cramer-Rao bound of a recording with truth.
 
-    VTs enter with a flat prior at their first detection, one for all links of a site. Errors that persist are states
-    too, where `truth.persisting_std` is there. Pitch, roll and height are known where neither the start nor the
-    odometry's data sheet is uncertain of them. `calibrated`: the array's calibration is known. `merging`: an error more
-    of each VT, which lasts for a time (`merged_paths`). Raises InputError without truth.
+    VTs enter with a flat prior at their first detection, one for all links of a site; transmitters that were surveyed
+    are there from the start, as uncertain as the survey. Errors that persist are states too, where
+    `truth.persisting_std` is there. Pitch, roll and height are known where neither the start nor the odometry's data
+    sheet is uncertain of them. `calibrated`: the array's calibration is known. `merging`: an error more of each VT,
+    which lasts for a time (`merged_paths`). Raises InputError without truth.
     """
     if recording.truth is None:
         raise InputError("the recording has no truth: the bound needs the true trajectory, VTs and measurement noise")
@@ -128,6 +130,8 @@ def recursion(
     pose, offset, error = np.zeros((count, 6, 6)), np.zeros((count, len(core.offsets))), np.zeros((count, 6))
     joint = NOTHING.with_more(np.arange(core.size), motion.jump[0], np.diag(motion.start))
     joint = joint.with_more(known.states, known.m, known.P)
+    survey, new = drive.survey, ~np.isin(drive.survey.state, known.states)  # a known map has it in
+    joint = joint.with_more(survey.state[new], survey.error[new], np.diag(survey.variance[new]))
     with progress("Cramer-Rao bound", count) as advance:
         for t in range(count):
             if t > 0:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.benchmarks.bound.persisting_states import Seen, persisting_errors
-from cellslam.sim.frames import held, integrate_pose, mean_velocity, rotation, wrap_angle
+from cellslam.sim.frames import held, integrate_pose, mean_velocity, pose_jacobians, wrap_angle
 from cellslam.sim.recording import Floats, Ints, OdometryModel, Recording, Sites, Truth
 from cellslam.slam.model.measurement_model import jacobians, predict
 
@@ -74,9 +74,9 @@ class Views(NamedTuple):
 class Sightings(NamedTuple):
     """The measurements, m of them; snapshot t has rows[t]:rows[t + 1].
 
-    `view_of` (m,); `vt` (m,): state of the VT's first coordinate; `first` (m,): whether it begins the VT; `variance`
-    (m, 3) of the white errors (infinite: not measured), `residual` (m, 3): what it is off in all; `state` (m, 3): the
-    persisting error of its own (-1: none), with loads `load` (3,).
+    `view_of` (m,); `vt` (m,): state of the VT's first coordinate; `first` (m,): whether it begins a VT of which nothing
+    was known; `variance` (m, 3) of the white errors (infinite: not measured), `residual` (m, 3): what it is off in all;
+    `state` (m, 3): the persisting error of its own (-1: none), with loads `load` (3,).
     """
 
     rows: Ints
@@ -87,6 +87,15 @@ class Sightings(NamedTuple):
     residual: Floats
     state: Ints
     load: Floats
+
+
+class Survey(NamedTuple):
+    """What a survey knows of n coordinates of VTs: `state` (n,) their numbers, `variance` (n,) in m^2, and `error` (n,)
+    as it was drawn, in m."""
+
+    state: Ints
+    variance: Floats
+    error: Floats
 
 
 class States(NamedTuple):
@@ -105,6 +114,7 @@ class Drive(NamedTuple):
     views: Views
     sightings: Sightings
     states: States
+    survey: Survey
 
 
 def linear_model(
@@ -121,7 +131,8 @@ def linear_model(
     if number is None:
         number, numbers = np.arange(len(truth.vts)), len(truth.vts)
     views, sightings, states = tracked_measurements(recording, truth, core, number, numbers, calibrated, merging)
-    return core, Drive(motion_of(recording, truth, core), views, sightings, states)
+    survey = survey_of(recording.sites, truth, core, number)
+    return core, Drive(motion_of(recording, truth, core), views, sightings, states, survey)
 
 
 # ---- the core --------------------------------------------------------------------------------------------------------
@@ -201,27 +212,6 @@ def clock_walk(recording: Recording, truth: Truth, core: Core) -> Floats:
     return out
 
 
-def pose_jacobians(pose: Floats, velocity: Floats, dt_s: Floats) -> tuple[Floats, Floats]:
-    """Return d(pose')/d(pose) and d(pose')/d(velocity), each (n, 6, 6), of `frames.integrate_pose`.
-
-    At poses (n, 6) in m and rad, body velocities (n, 6) in m/s and rad/s and intervals (n,) in s.
-    """
-    middle = pose[:, 3:] + 0.5 * velocity[:, 3:] * dt_s[:, None]
-    r = rotation(middle[:, 0], middle[:, 1], middle[:, 2])
-    moved = np.einsum("nij,nj->ni", r, velocity[:, :3]) * dt_s[:, None]
-    zero = np.zeros(len(pose))
-    # An angle turns the vector about its axis: yaw about z, pitch about the yawed y, roll about the body's x.
-    up = np.stack([zero, zero, zero + 1.0], axis=-1)
-    axes = np.stack([up, rotation(middle[:, 0], zero, zero)[:, :, 1], r[:, :, 0]], axis=1)
-    turned = np.swapaxes(np.cross(axes, moved[:, None, :]), 1, 2)
-    by_pose, by_velocity = np.tile(np.eye(6), (len(pose), 1, 1)), np.zeros((len(pose), 6, 6))
-    by_pose[:, :3, 3:] = turned
-    by_velocity[:, :3, :3] = r * dt_s[:, None, None]
-    by_velocity[:, :3, 3:] = turned * 0.5 * dt_s[:, None, None]
-    by_velocity[:, 3:, 3:] = np.eye(3) * dt_s[:, None, None]
-    return by_pose, by_velocity
-
-
 def jumps(recording: Recording, truth: Truth, core: Core, F: Floats) -> Floats:
     """Return what each snapshot adds to the error (T, c), estimate less truth, of the core; in the states' units.
 
@@ -241,6 +231,20 @@ def jumps(recording: Recording, truth: Truth, core: Core, F: Floats) -> Floats:
     out[1:, core.bias[biased]] = -np.diff(truth.odometry_bias, axis=0)[:, biased]
     out[1:, :6] += np.einsum("tac,tc->ta", F[1:, :6, 6:], out[1:, 6:])
     return out
+
+
+def surveyed_vts(sites: Sites, truth: Truth) -> Ints:
+    """Return the rows (n,) of the VTs that are surveyed sites."""
+    vt = truth.site_vts[np.isfinite(sites.surveyed_m).all(axis=1)]
+    return vt[vt >= 0]
+
+
+def survey_of(sites: Sites, truth: Truth, core: Core, number: Ints) -> Survey:
+    """Return the survey's prior of the VTs that are surveyed sites; `number` (V,) as for `linear_model`."""
+    vt = surveyed_vts(sites, truth)
+    site, state = truth.vts.site[vt], core.size + 3 * number[vt, None] + np.arange(3)
+    error = sites.surveyed_m[site] - truth.vts.position_m[vt]
+    return Survey(state.ravel(), sites.survey_std_m[site].ravel() ** 2, error.ravel())
 
 
 # ---- the measurements ------------------------------------------------------------------------------------------------
@@ -291,7 +295,7 @@ def tracked_measurements(
     at_view = view[of]
     white = _white_variance(recording, truth, real, predicted[at_view, 0], persisting.variance)
     variance, residual = _together(white, residuals(recording, truth, real, predicted[at_view]), of, len(at))
-    first = np.isin(np.arange(len(at)), first_row)
+    first = np.isin(np.arange(len(at)), first_row) & ~np.isin(vt, surveyed_vts(recording.sites, truth))
     missing = np.where(first[:, None], BROAD_STD**2, np.inf)
     sightings = Sightings(
         rows=np.searchsorted(snapshot, np.arange(len(recording.time_s) + 1)), view_of=view,

@@ -16,7 +16,7 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.frames import mean_velocity, wrap_angle
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Floats, Measurements
-from cellslam.sim.world import World, prepare, sites_of
+from cellslam.sim.world import World, known_of, prepare
 from cellslam.slam.api import Estimate, Setup, Snapshot
 
 STEERING_LIMIT_RAD, STEERING_RATE_RADPS = 0.6, 0.5
@@ -120,7 +120,6 @@ class ActiveSlamEnv(ScenarioEnv):
     def _begin(self, seed: int, trial: int) -> None:
         from shapely import STRtree
 
-        from cellslam.sim.lte.links import links_of
         from cellslam.sim.vehicle import plan_route
         from cellslam.sim.vehicle.odometry import odometry_model
 
@@ -142,8 +141,7 @@ class ActiveSlamEnv(ScenarioEnv):
         self._end_s = 2.0 * vehicle.duration_s if self._limit_s is None else self._limit_s
         self._now, self._row, self._near, self._believed_near, self._arc_m = 0, 0, 0, 0, 0.0
         self._track = [start.copy()]
-        links, sites = links_of(self._world.cells), sites_of(config)
-        setup = Setup(links, sites, model, self._world.start_pose, np.array(vehicle.start_std))
+        setup = Setup(*known_of(self._world), model, self._world.start_pose, np.array(vehicle.start_std))
         (request,) = resolve(self._scenario.estimator, (self._name,))
         if request.oracle:
             raise InputError(f"estimator '{self._name}' needs the truth of a whole drive: choose one that does not")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.scores.map_scores import Tracks, map_gospa, precision_recall, tracks_of, transmitter_errors
-from cellslam.benchmarks.scores.reference_fixes import compared, usable, within
+from cellslam.benchmarks.scores.reference_fixes import at_fixes, compared, covariances_at_fixes, unled, usable, within
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.scores.walls import wall_scores
 from cellslam.sim.frames import wrap_angle
@@ -213,22 +213,21 @@ def score(recording: Recording, result: TrialResult, bound: BoundResult | None) 
 
 
 def reference_errors(recording: Recording, reference: Reference, result: TrialResult) -> Errors:
-    """Return the errors against a reference: the estimate interpolated at its times, where they lie within the drive.
+    """Return the errors against a reference: of the estimate at its times, where they lie within the drive.
 
-    Positions far off their neighbours are left out (`reference_fixes.outlying`). The NEES adds the reference's variance
-    to the claimed one, and is missing where the reference does not state its own.
+    `reference_fixes` says which positions are left out. The NEES adds the reference's variance to the claimed one, and
+    is missing where the reference does not state its own.
     """
-    times, rows = recording.time_s, within(recording, reference)
+    rows = within(recording, reference) & ~unled(recording, reference)
     if not rows.any():
         return NO_ERRORS
-    at = reference.time_s[rows]
-    turns = np.unwrap(result.poses[:, 3:], axis=0)
-    poses = np.column_stack([np.interp(at, times, column) for column in (*result.poses[:, :3].T, *turns.T)])
+    poses = at_fixes(recording, reference, rows, result.poses)
     known = np.column_stack([reference.position_m[rows], reference.yaw_rad[rows]])
     there, turned = usable(recording, reference)[rows], np.isfinite(known[:, 3])
     std = reference.position_std_m[rows]
-    nearest, sure = np.clip(np.searchsorted(times, at), 0, len(times) - 1), there & ~np.isnan(std)
-    claimed = result.covariances[nearest] + (std**2)[:, None, None] * np.eye(6)
+    sure = there & ~np.isnan(std)
+    claimed = covariances_at_fixes(recording, reference, rows, result.poses, result.covariances)
+    claimed = claimed + (std**2)[:, None, None] * np.eye(6)
     return Errors(
         horizontal_error(known[there], poses[there]), wrap_angle(poses[turned, 3] - known[turned, 3]),
         nees(known[sure], poses[sure], claimed[sure]),

@@ -1,4 +1,8 @@
-"""Which fixes of a reference are used: those within the drive that have a position, and are not far off the others.
+"""Which fixes of a reference are used, and what an estimate says at their times.
+
+Used are fixes within the drive that have a position, are not far off the others, and to which the odometry leads from
+the snapshot before. From there it carries the estimate to the fix: a straight line to the next snapshot is not what a
+vehicle drives in a pause of the measurements.
 
 Source: R. K. Pearson et al., Generalized Hampel filters, EURASIP Journal on Advances in Signal Processing, 2016:
 samples far from the median of those around them.
@@ -9,8 +13,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.frames import integrate_pose, pose_jacobians
 from cellslam.sim.recording import Floats, Recording, Reference
 
+SHORTEST_S = 1e-6  # between a snapshot and a fix: there is no less than nothing
 NEIGHBOURS = 3  # on each side
 STEPS, TIMES, LEAST_M = 4.0, 6.0, 3.0
 
@@ -22,9 +28,32 @@ def within(recording: Recording, reference: Reference) -> NDArray[np.bool_]:
 
 
 def usable(recording: Recording, reference: Reference) -> NDArray[np.bool_]:
-    """Return which fixes (R,) can be compared with an estimate: within the drive, with a position, not outlying."""
+    """Return which fixes (R,) can be compared with an estimate: within the drive, with a position, not outlying, and
+    not where the odometry pauses."""
     known = np.isfinite(reference.position_m[:, :2]).all(axis=1)
-    return np.asarray(within(recording, reference) & known & ~outlying(reference))
+    return np.asarray(within(recording, reference) & known & ~outlying(reference) & ~unled(recording, reference))
+
+
+def unled(recording: Recording, reference: Reference) -> NDArray[np.bool_]:
+    """Return which fixes (R,) within the drive lie in a pause of an odometry that the recording otherwise has."""
+    if reference.odometry is None:
+        return np.zeros(len(reference), np.bool_)
+    moving = ~np.isnan(reference.odometry).all(axis=0)
+    missing = np.isnan(reference.odometry[:, moving]).any(axis=1)
+    return np.asarray(within(recording, reference) & missing)
+
+
+def at_fixes(recording: Recording, reference: Reference, rows: NDArray[np.bool_], poses: Floats) -> Floats:
+    """Return the poses (N, 6) of an estimate (T, 6) at the fixes `rows` (R,), which are within the drive.
+
+    The odometry carries the pose from the snapshot before; where a recording has none, poses are interpolated.
+    """
+    times, at = recording.time_s, reference.time_s[rows]
+    if reference.odometry is None:
+        turns = np.unwrap(poses[:, 3:], axis=0)
+        return np.column_stack([np.interp(at, times, column) for column in (*poses[:, :3].T, *turns.T)])
+    before = np.searchsorted(times, at, side="right") - 1
+    return integrate_pose(poses[before], np.nan_to_num(reference.odometry[rows]), at - times[before])
 
 
 def compared(recording: Recording, poses: Floats) -> tuple[Floats, Floats, Floats] | None:
@@ -38,9 +67,27 @@ def compared(recording: Recording, poses: Floats) -> tuple[Floats, Floats, Float
     if reference is None:
         return None
     rows = usable(recording, reference)
-    at = reference.time_s[rows]
-    there = np.column_stack([np.interp(at, recording.time_s, poses[:, i]) for i in range(2)])
-    return at, there, reference.position_m[rows, :2]
+    there = at_fixes(recording, reference, rows, poses)[:, :2]
+    return reference.time_s[rows], there, reference.position_m[rows, :2]
+
+
+def covariances_at_fixes(
+    recording: Recording, reference: Reference, rows: NDArray[np.bool_], poses: Floats, covariances: Floats
+) -> Floats:
+    """Return the covariances (N, 6, 6) of an estimate (T, 6), (T, 6, 6) at the fixes `rows` (R,), within the drive.
+
+    The covariance of the snapshot before grows by what the odometry's data sheet says of its errors since then.
+    """
+    times, at, model = recording.time_s, reference.time_s[rows], recording.odometry_model
+    before = np.searchsorted(times, at, side="right") - 1
+    if reference.odometry is None:
+        return covariances[before]
+    dt, velocity = at - times[before], np.nan_to_num(reference.odometry[rows])
+    F, G = pose_jacobians(poses[before], velocity, dt)
+    lasting = model.bias**2 + (model.scale * velocity) ** 2
+    variance = lasting + model.noise_density**2 / np.maximum(dt, SHORTEST_S)[:, None]
+    grown: Floats = F @ covariances[before] @ np.swapaxes(F, 1, 2) + (G * variance[:, None]) @ np.swapaxes(G, 1, 2)
+    return grown
 
 
 def outlying(reference: Reference) -> NDArray[np.bool_]:

@@ -37,14 +37,14 @@ class Suite:
 
 
 _SECOND = ("clutter", "traffic", "clocks", "canyon", "full", "anywhere", "one-site", "signal")
+_THIRD = (*_SECOND, "noisy-odometry", "relocation")
+_FOURTH = (*_THIRD, "known-sites")
+_VERSIONS = {"standard-2": _SECOND, "standard-3": _THIRD, "standard-4": _FOURTH}
 SUITES = {
-    "standard-2": Suite("standard-2", _SECOND, seed=530, trials=20, fewer={"signal": 5}),
-    "standard-3": Suite(
-        "standard-3", (*_SECOND, "noisy-odometry", "relocation"), seed=530, trials=20, fewer={"signal": 5}
-    ),
+    name: Suite(name, scenarios, seed=530, trials=20, fewer={"signal": 5}) for name, scenarios in _VERSIONS.items()
 }
 # What a name without a version stands for.
-LATEST = {"standard": "standard-3"}
+LATEST = {"standard": "standard-4"}
 FOLDER = files("cellslam.scenarios.suites") / "standard"  # of the scenarios, which versions share
 
 

@@ -86,6 +86,29 @@ def integrate_pose(pose: ArrayLike, velocity: ArrayLike, dt_s: ArrayLike) -> NDA
     return np.concatenate([p[..., :3] + moved, wrap_angle(p[..., 3:] + turn)], axis=-1)
 
 
+def pose_jacobians(
+    pose: NDArray[np.float64], velocity: NDArray[np.float64], dt_s: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return d(pose')/d(pose) and d(pose')/d(velocity), each (n, 6, 6), of `integrate_pose`.
+
+    At poses (n, 6) in m and rad, body velocities (n, 6) in m/s and rad/s and intervals (n,) in s.
+    """
+    middle = pose[:, 3:] + 0.5 * velocity[:, 3:] * dt_s[:, None]
+    r = rotation(middle[:, 0], middle[:, 1], middle[:, 2])
+    moved = np.einsum("nij,nj->ni", r, velocity[:, :3]) * dt_s[:, None]
+    zero = np.zeros(len(pose))
+    # An angle turns the vector about its axis: yaw about z, pitch about the yawed y, roll about the body's x.
+    up = np.stack([zero, zero, zero + 1.0], axis=-1)
+    axes = np.stack([up, rotation(middle[:, 0], zero, zero)[:, :, 1], r[:, :, 0]], axis=1)
+    turned = np.swapaxes(np.cross(axes, moved[:, None, :]), 1, 2)
+    by_pose, by_velocity = np.tile(np.eye(6), (len(pose), 1, 1)), np.zeros((len(pose), 6, 6))
+    by_pose[:, :3, 3:] = turned
+    by_velocity[:, :3, :3] = r * dt_s[:, None, None]
+    by_velocity[:, :3, 3:] = turned * 0.5 * dt_s[:, None, None]
+    by_velocity[:, 3:, 3:] = np.eye(3) * dt_s[:, None, None]
+    return by_pose, by_velocity
+
+
 def mean_velocity(before: ArrayLike, after: ArrayLike, dt_s: ArrayLike) -> NDArray[np.float64]:
     """Return the mean body velocities (..., 6), m/s and rad/s, that take pose `before` to `after` in `dt_s` (...,).
 

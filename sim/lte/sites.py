@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cellslam.sim.errors import InputError
 
@@ -53,6 +53,26 @@ class SiteConfig(BaseModel):
     )
     cells: tuple[CellConfig, ...] = Field(min_length=1, description="sectors of the site")
     ports: int = Field(2, ge=1, le=4, description="CRS antenna ports per cell, each a link of its own")
+    # What is not known is left out, so that a world without surveyed sites is called what it was before there were any.
+    known: bool = Field(
+        False,
+        exclude_if=lambda known: not known,
+        description="whether estimators know, by a survey, where the site is and where its sectors point",
+    )
+    survey_std_m: float = Field(
+        0.0,
+        ge=0.0,
+        le=1000.0,
+        exclude_if=lambda std: std == 0.0,
+        description="deviation of the survey's error in x, in y and in z, drawn for each trial, m; 0: exact",
+    )
+
+    @model_validator(mode="after")
+    def _is_known_if_surveyed(self) -> Self:
+        """Refuse the error of a survey that estimators are not told of."""
+        if self.survey_std_m > 0.0 and not self.known:
+            raise ValueError(f"survey_std_m = {self.survey_std_m:g} of a site that is not known: add known = true")
+        return self
 
 
 def place_sites(

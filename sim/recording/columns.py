@@ -74,6 +74,7 @@ COLUMNS = (
     Column("links/site", ("L",), kind="int", index=("S",)),
     Column("links/cell_id", ("L",), kind="int", absent=True),
     Column("links/port", ("L",), kind="int", absent=True),
+    Column("links/azimuth_rad", ("L",), "rad", optional=True, rule="measured"),
     Column("sites/name", ("S",), kind="text"),
     Column("sites/clock_offset_mean_m", ("S",), "m", rule="finite"),
     Column("sites/clock_offset_std_m", ("S",), "m", rule="deviation"),
@@ -81,7 +82,8 @@ COLUMNS = (
     Column("sites/clock_walk_m_sqrt_s", ("S",), "m/sqrt(s)", optional=True, rule="deviation"),
     Column("sites/clock_drift_walk_m_s_sqrt_s", ("S",), "m/s/sqrt(s)", optional=True, rule="deviation"),
     Column("sites/clock_step_std_m", ("S",), "m", optional=True, rule="deviation"),
-    Column("sites/position_m", ("S", 3), "m", labels=_XYZ, optional=True),
+    Column("sites/position_m", ("S", 3), "m", labels=_XYZ, optional=True, rule="measured"),
+    Column("sites/position_std_m", ("S", 3), "m", labels=_XYZ, optional=True, rule="deviation"),
     Column("measurements/snapshot", ("M",), kind="int", index=("T",)),
     Column("measurements/link", ("M",), kind="int", index=("L",)),
     Column("measurements/distance_m", ("M",), "m", absent=True, rule="measured"),
@@ -126,6 +128,7 @@ COLUMNS = (
     Column("reference/position_m", ("R", 3), "m", labels=_XYZ, rule="measured"),
     Column("reference/yaw_rad", ("R",), "rad", rule="measured"),
     Column("reference/position_std_m", ("R",), "m", rule="uncertainty"),
+    Column("reference/odometry", ("R", 6), _RATE_UNIT, labels=COMPONENTS, optional=True, rule="measured"),
 )
 
 

@@ -73,6 +73,9 @@ class Recording(Described):
             later = np.diff(values.get(path, np.empty(0))) > 0
             _require(later, path.replace("/", "."), "is not after the row before it: sort the rows by time", offset=1)
         _check_measurements(self.measurements, len(self.links))
+        surveyed = np.isfinite(self.sites.surveyed_m)
+        half = surveyed.any(axis=1) & ~surveyed.all(axis=1)
+        _require(~half, "sites.position_m", "is known in part: write x, y and z, or NaN for all three")
         if self.plane and not np.isnan(self.measurements.elevation_rad).all():
             raise InputError("plane is set, but measurements.elevation_rad has values: leave one of both out")
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cellslam.sim.described import Described
 
+SAME_PLACE_M = 1e-6  # rounding of positions
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -36,12 +37,14 @@ class OdometryModel(Described):
 class Links(Described):
     """One row a link (base station, cell, CRS port): `site` indexes `Sites`; all (L,).
 
-    `cell_id` and `port` are -1 where the campaign has no such thing.
+    `cell_id` and `port` are -1 where the campaign has no such thing. `azimuth_rad` (L,): where the sector's antenna
+    points, counter-clockwise from east; NaN, or None for all: not known.
     """
 
     site: Ints
     cell_id: Ints
     port: Ints
+    azimuth_rad: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.site)
@@ -62,8 +65,8 @@ class Sites(Described):
     `clock_walk_m_sqrt_s` and `clock_drift_walk_m_s_sqrt_s` (S,): densities of the random walks of offset and rate, in m
     and m/s per square root of a second (None: they do not walk). `clock_step_std_m` (S,): deviation of the size of
     steps that happen at unknown times, m (None, 0: none do).
-    `position_m` (S, 3): where transmitters stand that are known before the drive, as surveyed anchors are; NaN, or
-    None for all: not known.
+    `position_m` (S, 3): where the transmitters stand that were surveyed before the drive; NaN, or None for all: not
+    known. `position_std_m` (S, 3): deviations of the survey's errors in x, y and z, which are independent (None: 0).
     """
 
     name: tuple[str, ...]
@@ -74,9 +77,20 @@ class Sites(Described):
     clock_walk_m_sqrt_s: Floats | None = None
     clock_drift_walk_m_s_sqrt_s: Floats | None = None
     clock_step_std_m: Floats | None = None
+    position_std_m: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.name)
+
+    @property
+    def surveyed_m(self) -> Floats:
+        """Positions (S, 3) of the surveyed sites, m: NaN where a site was not surveyed."""
+        return np.full((len(self), 3), np.nan) if self.position_m is None else self.position_m
+
+    @property
+    def survey_std_m(self) -> Floats:
+        """Deviations (S, 3) of the errors of `surveyed_m`, m: zero where the survey is exact."""
+        return np.zeros((len(self), 3)) if self.position_std_m is None else self.position_std_m
 
     @property
     def drift_std_m_s(self) -> Floats:
@@ -206,6 +220,14 @@ class Truth(Described):
     age_s: Floats | None = None
     vehicles: Vehicles | None = None
 
+    @property
+    def site_vts(self) -> Ints:
+        """Row (S,) of the VT that is the site itself, which the line of sight leads to; -1: no path of it exists."""
+        itself = np.linalg.norm(self.vts.position_m - self.site_positions_m[self.vts.site], axis=1) < SAME_PLACE_M
+        out = np.full(len(self.site_positions_m), -1)
+        out[self.vts.site[itself]] = np.flatnonzero(itself)
+        return out
+
     def clock_offsets_at(self, elapsed_s: Floats) -> Floats:
         """Return the clock offsets (T, S) at all snapshots, so long (T,) after the first one."""
         rate = np.zeros_like(self.clock_offsets_m) if self.clock_drift_m_s is None else self.clock_drift_m_s
@@ -218,13 +240,15 @@ class Reference(Described):
     """The trajectory as another sensor saw it (GNSS, total station), at its own times: what a real drive has for truth.
 
     `time_s` (R,), increasing, on the clock of the snapshots; `position_m` (R, 3) of the array in the world frame;
-    `yaw_rad` (R,); `position_std_m` (R,). NaN: not known.
+    `yaw_rad` (R,); `position_std_m` (R,). NaN: not known. `odometry` (R, 6), where there is one: mean body velocities
+    in m/s and rad/s from the last snapshot before each fix to the fix, NaN where they were not measured.
     """
 
     time_s: Floats
     position_m: Floats
     yaw_rad: Floats
     position_std_m: Floats
+    odometry: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, held
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, held, wrap_angle
 from cellslam.sim.lte.faults import walk_densities
 from cellslam.sim.progress import Progress, silent
-from cellslam.sim.recording import Ints, Recording, Sites, Truth, Vehicles, VirtualTransmitters
+from cellslam.sim.recording import Ints, Links, Recording, Sites, Truth, Vehicles, VirtualTransmitters
 from cellslam.sim.world.world import Reception, WorldConfig, prepare
 
 if TYPE_CHECKING:
@@ -54,7 +54,6 @@ def recorded(
     """Return the recording of a drive, truth included, and its detections as they are reported. `free` (P,): which of
     the paths exist, None for all; `reports`: when snapshots are reported, None: in time."""
     from cellslam.sim.lte.faults import as_reported
-    from cellslam.sim.lte.links import links_of
     from cellslam.sim.lte.persisting_errors import persisting_std
 
     config = world.config
@@ -84,12 +83,13 @@ def recorded(
         odometry_slip=odometry.slip,
         age_s=None if reports is None else reports.age_s(world.drive.time_s),
     )
+    links, sites = known_of(world)
     recording = Recording(
         time_s=world.drive.time_s,
         odometry=odometry.velocity,
         odometry_model=odometry.model,
-        links=links_of(world.cells),
-        sites=sites_of(config),
+        links=links,
+        sites=sites,
         measurements=detections.measurements,
         start_pose=world.start_pose,
         start_std=np.array(config.vehicle.start_std, np.float64),
@@ -99,9 +99,11 @@ def recorded(
     return recording, detections
 
 
-def sites_of(config: WorldConfig) -> Sites:
-    """Return what is known of the sites beforehand."""
-    count = len(config.sites)
+def known_of(world: Reception) -> tuple[Links, Sites]:
+    """Return what is known of the links and of their sites beforehand."""
+    from cellslam.sim.lte.links import links_of
+
+    config, count = world.config, len(world.config.sites)
     drift = np.full(count, SPEED_OF_LIGHT_MPS * config.radio.clock_drift) if config.radio.clock_drift > 0.0 else None
     offset, radio = np.full(count, config.radio.clock_offset_std_m), config.radio
     sites = Sites(tuple(site.name for site in config.sites), np.zeros(count), offset, drift)
@@ -110,7 +112,13 @@ def sites_of(config: WorldConfig) -> Sites:
         sites = replace(sites, clock_walk_m_sqrt_s=walk, clock_drift_walk_m_s_sqrt_s=rate_walk)
     if radio.clock_steps_per_hour > 0.0 or radio.clock_step_times_s:
         sites = replace(sites, clock_step_std_m=np.full(count, radio.clock_step_std_m))
-    return sites
+    links, known = links_of(world.cells), np.array([site.known for site in config.sites])
+    if known.any():
+        std_m = np.array([[site.survey_std_m] * 3 for site in config.sites])
+        sites = replace(sites, position_m=world.surveyed_m, position_std_m=std_m)
+        cell_azimuth = np.repeat(world.cells.azimuth_rad, world.cells.ports)
+        links = replace(links, azimuth_rad=np.where(known[links.site], wrap_angle(cell_azimuth), np.nan))
+    return links, sites
 
 
 def provenance(config: WorldConfig, seed: int, trial: int) -> dict[str, Any]:

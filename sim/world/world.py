@@ -49,16 +49,17 @@ class WorldConfig(BaseModel):
 
 @dataclass(frozen=True)
 class Reception:
-    """One trial's drive, sites and receiver, without the world that the paths come from. `sites_m` (S, 3);
-    `offsets_m` (S,) are the true clock offsets at the first snapshot, `drift_m_s` (S,) their rates,
-    `clock_errors` what else they do; `fields` the receiver's errors that persist; `signals` is what radio.front_end =
-    "signal" measures with.
+    """One trial's drive, sites and receiver, without the world that the paths come from. `sites_m` (S, 3), `surveyed_m`
+    (S, 3): where a survey has those that are known, NaN the others; `offsets_m` (S,) are the true clock offsets at the
+    first snapshot, `drift_m_s` (S,) their rates, `clock_errors` what else they do; `fields` the receiver's errors that
+    persist; `signals` is what radio.front_end = "signal" measures with.
     """
 
     config: WorldConfig
     seed: int
     trial: int
     sites_m: Floats
+    surveyed_m: Floats
     cells: Cells
     drive: Drive
     offsets_m: Floats
@@ -223,13 +224,15 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
         rng = stream(seed, trial, Stream.TRAFFIC)
         traffic = draw_traffic(config.traffic, scene.city, route, driven, config.vehicle, rng)
         advance(1)
-    reception = draw_reception(config, seed, trial, sites_m, driven)
+    reception = draw_reception(config, seed, trial, sites_m, driven, place)
     return World(**vars(reception), scene=scene, traffic=traffic)
 
 
-def draw_reception(config: WorldConfig, seed: int, trial: int, sites_m: Floats, driven: Drive) -> Reception:
-    """Draw clock offsets, start and receiver of a trial with sites (S, 3) in m. Raises InputError where they do not
-    fit.
+def draw_reception(
+    config: WorldConfig, seed: int, trial: int, sites_m: Floats, driven: Drive, place: int | None = None
+) -> Reception:
+    """Draw survey, clock offsets, start and receiver of a trial with sites (S, 3) in m. `place`: trial whose survey it
+    has (None: its own). Raises InputError where they do not fit.
     """
     from cellslam.sim.lte.links import cells_of, links_of
     from cellslam.sim.lte.persisting_errors import draw_fields
@@ -242,6 +245,9 @@ def draw_reception(config: WorldConfig, seed: int, trial: int, sites_m: Floats, 
     start = driven.poses[0] + np.array(config.vehicle.start_std) * rng.standard_normal(6)
     drift_m_s = SPEED_OF_LIGHT_MPS * config.radio.clock_drift * rng.standard_normal(len(config.sites))
     receiver_rng, clocks_rng = stream(seed, trial, Stream.RECEIVER), stream(seed, trial, Stream.CLOCKS)
+    survey_rng = stream(seed, trial if place is None else place, Stream.SURVEY)
+    survey_std_m = np.array([site.survey_std_m if site.known else np.nan for site in config.sites])
+    surveyed_m = sites_m + survey_std_m[:, None] * survey_rng.standard_normal(sites_m.shape)
     clock_errors = draw_clock_errors(config.radio, driven.time_s - driven.time_s[0], len(config.sites), clocks_rng)
     fields = draw_fields(config.radio, config.vehicle.snapshot_interval_s, receiver_rng)
     signals = None
@@ -250,7 +256,7 @@ def draw_reception(config: WorldConfig, seed: int, trial: int, sites_m: Floats, 
 
         signals = signal_level(config.radio, cells, offsets_m, fields, receiver_rng)
     clocks = offsets_m, drift_m_s, clock_errors
-    return Reception(config, seed, trial, sites_m, cells, driven, *clocks, start, fields, signals)
+    return Reception(config, seed, trial, sites_m, surveyed_m, cells, driven, *clocks, start, fields, signals)
 
 
 def path_columns(paths: Paths, receivers: int, sites: int) -> PathColumns:

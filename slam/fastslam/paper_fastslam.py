@@ -30,7 +30,8 @@ H (G - B), where B says how theta moves a point that is fixed in the vehicle's f
 Assumed, where the paper is silent. The clock offset of a site (eq. 5) is the mean of its prior: given where
 `radio.clock_offset_std_m` is 0, ignored otherwise. A VT that was unseen for more snapshots than it was seen is dropped
 (as by the counter of Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, chapter 13), and none begins where there
-is no room. Every error is taken for white, of the variance that the front end has on the whole. No clutter, no misses.
+is no room. Transmitters that were surveyed are in the map from the start, and stay. Every error is taken for white, of
+the variance that the front end has on the whole. No clutter, no misses.
 
 Sources: Chen, Whiton and Tufvesson, "Extended FastSLAM using cellular multipath component delays and angular
 information", sections III and IV; theta: Schoen, Gustafsson and Nordlund, "Marginalized particle filters for mixed
@@ -396,7 +397,8 @@ class PaperFastSlam:
         o, model, self._rng = self.options, setup.odometry_model, rng
         self._fusion = Fusion(setup, MeasurementOptions(sharing=o.sharing))
         links, N = self._fusion.setup.links, o.particles
-        self._model, self._port, self._now, self._born = model, ports_of(links.site, links.port), 0, 0
+        self._model, self._port = model, ports_of(links.site, links.port)
+        self._now, self._born = 0, len(links)  # the first identities are those of surveyed transmitters
         self._offset_of = np.array(setup.sites.clock_offset_mean_m[links.site], np.float64)
         r = setup.start_pose + setup.start_std * rng.standard_normal((N, 6))
         self._bias, self._scale = model.bias * rng.standard_normal((N, 6)), model.scale * rng.standard_normal((N, 6))
@@ -406,7 +408,11 @@ class PaperFastSlam:
             theta[:], P[:] = 0.0, [model.bias[YAW] ** 2, 0.0, model.scale[FORWARD] ** 2]
         counts, room = np.zeros((N, len(links)), np.int64), max(VTS // max(len(links), 1), LEAST_VTS)
         sums = np.zeros((N, 2)), np.zeros((N, 3)), np.zeros((N, 1))
-        self._x = Particles(r, np.zeros((N, 2, 4)), theta, P, *sums, np.zeros((*counts.shape, room, WIDTH)), counts)
+        vts, (link, position_m, std_m) = np.zeros((*counts.shape, room, WIDTH)), self._fusion.setup.surveyed
+        counts[:, link], vts[:, link, 0, MU:LAST] = 1, position_m
+        vts[:, link[:, None], 0, SIGMA + np.diag(UPPER)] = std_m**2
+        vts[:, link, 0, HITS], vts[:, link, 0, IDENT] = np.inf, link  # never dubious
+        self._x = Particles(r, np.zeros((N, 2, 4)), theta, P, *sums, vts, counts)
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Predict, associate, update, weigh and resample.

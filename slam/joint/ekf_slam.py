@@ -231,13 +231,16 @@ class JointFilter:
         return np.full(len(measurements), NOT_GIVEN, np.int64)
 
     def _install(self, mixture: Mixture) -> None:
-        """Put into new filters what is known of the map: transmitters whose place was surveyed; VTs of a remembered map
-        will come."""
+        """Put into new filters what is known of the map: transmitters that were surveyed; VTs of a remembered map will
+        come."""
         mixture.remembered = None if self._remembered is None else self._remembered.afresh()
-        places = self._setup.sites.position_m
-        if places is not None:
-            link = np.flatnonzero(np.isfinite(places[self._setup.links.site]).all(axis=1))
-            mixture.know(link, link, places[self._setup.links.site[link]], 0)
+        link, position_m, std_m = self._setup.surveyed
+        if len(link):
+            mixture.know(link, self._surveyed_idents(link), position_m, std_m, 0)
+
+    def _surveyed_idents(self, link: Ints) -> Ints:
+        """Return the identities that the surveyed transmitters of some links (n,) have as VTs."""
+        return link
 
     def _alike(self, **changes: Any) -> Self:
         """Return another filter of the same kind, with some options changed."""

@@ -31,6 +31,7 @@ from cellslam.slam.joint.state.layout import (
     POSITION,
     SHARE,
     SPREAD,
+    SURVEYED,
     UNSEEN,
     VT,
     VT_STATES,
@@ -102,7 +103,7 @@ class Remembered:
             f.p[size + 3 * n : size + 3 * n + 3, size + 3 * n : size + 3 * n + 3] += own
         for n, vt in enumerate(which.tolist()):
             j, places = count + n, size + 3 * n + np.arange(3)
-            f.vts.slots[j] = self.link[vt], known.hits[vt], now - 1, self.first_ident + vt, 1, 0
+            f.vts.slots[j] = self.link[vt], known.hits[vt], now - 1, self.first_ident + vt, 1, 0, 0
             f.vts.anchor[j, :3] = known.anchor_m[vt]
             f.vts.anchor[j, [EXISTS, SHARE]], f.vts.anchor[j, [MERGED, WORTH]] = 1.0, 0.0
             f.vts.state[j], f.vts.state[j, VT : VT + 3] = -1, places
@@ -144,10 +145,10 @@ class Observed(NamedTuple):
 
 def map_after(f: Filter, lost: Floats, observed: Observed, before: Remembered | None, confirm: int) -> VtMap:
     """Return the map after a drive: VTs that were seen, with `confirm` detections, those that made room, `lost`
-    (E, 14), and those of the map before that were not seen; what was missed too often is left out."""
+    (E, 14), and those of the map before that were not seen; what was missed too often is left out, and what was
+    surveyed, which the next drive knows without the map."""
     slots = f.vts.slots[: f.count[0]]
-    places = f.vts.state[: len(slots), VT]
-    fit = (slots[:, HITS] >= confirm) & (f.vts.anchor[: len(slots), SHARE] > 0.5) & (f.p[places, places] > 0.0)
+    fit = (slots[:, HITS] >= confirm) & (f.vts.anchor[: len(slots), SHARE] > 0.5) & (slots[:, SURVEYED] == 0)
     mine = np.flatnonzero(fit & np.isin(slots[:, IDENT], list(observed.seen)))
     states = f.vts.state[mine, VT : VT + 3]
     joint = np.concatenate([states.ravel(), np.arange(f.core.first_common, f.core.size)])

@@ -35,6 +35,7 @@ from cellslam.slam.joint.state.layout import (
     POSITION,
     SHARE,
     SPREAD,
+    SURVEYED,
     VT,
     VT_STATES,
     WORTH,
@@ -48,6 +49,7 @@ from cellslam.slam.joint.state.layout import (
     one_of,
 )
 from cellslam.slam.joint.state.states_kernel import differing, owner_of
+from cellslam.slam.model.measurement_model import jacobians
 from cellslam.slam.model.pose_moments import mixture_moments
 
 NEW_STATES, NEW_VTS = 160, 24  # that a snapshot may bring
@@ -206,8 +208,9 @@ class Mixture:
         weight = np.exp(self.log_weight - self.log_weight.max())
         return np.asarray(weight / weight.sum())
 
-    def know(self, link: Ints, ident: Ints, position_m: Floats, last: int) -> None:
-        """Put VTs on links (v,) into filters that have none, at positions (v, 3) in the world, without uncertainty.
+    def know(self, link: Ints, ident: Ints, position_m: Floats, std_m: Floats, last: int) -> None:
+        """Put VTs on links (v,) into filters that have none, at positions (v, 3) in the world, whose errors have
+        deviations (v, 3) in x, y and z; those that stand at one position err alike.
 
         `last`: snapshot in which they were last seen.
         """
@@ -216,13 +219,18 @@ class Mixture:
         here = f.x[0, :3].copy()
         f.count[:], f.size[:] = len(link), first + 3 * len(link)
         for j, offset in enumerate(position_m - here):
-            f.vts.slots[:, j, [LINK, HITS, LAST, IDENT]] = link[j], KNOWN, last, ident[j]
+            f.vts.slots[:, j, [LINK, HITS, LAST, IDENT, SURVEYED]] = link[j], KNOWN, last, ident[j], 1
             f.vts.anchor[:, j, :3] = here
             f.vts.anchor[:, j, [EXISTS, SHARE]], f.vts.anchor[:, j, [MERGED, WORTH]] = 1.0, 0.0
             at = first + 3 * j + np.arange(3)
             f.vts.state[:, j], f.vts.state[:, j, VT : VT + 3] = -1, at
             f.owner[:, at] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
             f.x[:, at] = _spherical(offset)
+        if std_m.any():
+            load = jacobians(np.append(here, np.zeros(3)), position_m)[0] * std_m[:, None]
+            alike = (position_m[:, None] == position_m).all(axis=2)
+            at = first + np.arange(3 * len(link))
+            f.p[:, at[:, None], at] = np.einsum("jk,jac,kbc->jakb", alike, load, load).reshape(len(at), -1)
 
     def _meet(self, remembered: Remembered, now: int) -> None:
         """Let VTs of a remembered map enter all filters as they come into reach of the likeliest one, and leave them,

@@ -38,7 +38,7 @@ import numpy as np
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
-from cellslam.slam.joint.state.layout import HITS, IDENT, LINK, SHARE, VT, Filter
+from cellslam.slam.joint.state.layout import HITS, IDENT, LINK, SHARE, SURVEYED, VT, Filter
 from cellslam.slam.model.walls import image_in_wall, mirror_plane, normals, quarter_turned, reflection_point
 
 SITE_M = 15.0  # a VT this near to its site is the site once more
@@ -92,14 +92,14 @@ def ends_of(f: Filter, images: Sequence[Image]) -> tuple[Floats, Floats, Ints]:
 def images_of(f: Filter, seen: Places, hits: int) -> list[Image]:
     """Return the images among a filter's VTs with so many detections, on links whose site is among them."""
     slots = np.flatnonzero((f.vts.slots[: f.count[0], HITS] >= hits) & (f.vts.anchor[: f.count[0], SHARE] > 0.5))
-    exact = f.p[f.vts.state[slots, VT], f.vts.state[slots, VT]] == 0.0  # sites that were surveyed, seen or not
-    slots = slots[exact | np.isin(f.vts.slots[slots, IDENT], list(seen))]
+    surveyed = f.vts.slots[slots, SURVEYED] == 1  # seen or not
+    slots = slots[surveyed | np.isin(f.vts.slots[slots, IDENT], list(seen))]
     found = list[Image]()
     for link in np.unique(f.vts.slots[slots, LINK]):
         mine = slots[f.vts.slots[slots, LINK] == link]
         position = place_of(f, mine)[0]
         places = [seen.get(ident, np.empty((0, 2))) for ident in f.vts.slots[mine, IDENT].tolist()]
-        known = np.flatnonzero(f.p[f.vts.state[mine, VT], f.vts.state[mine, VT]] == 0.0)
+        known = np.flatnonzero(f.vts.slots[mine, SURVEYED] == 1)
         site = int(known[0]) if len(known) else _site(position, places, f.vts.slots[mine, HITS])
         if site >= 0:
             away = position - position[site]

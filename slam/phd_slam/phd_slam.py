@@ -34,7 +34,7 @@ from pydantic import Field
 from scipy.special import ndtri
 
 from cellslam.sim.randomness import quasi_random
-from cellslam.sim.recording import Floats, Ints, Sites
+from cellslam.sim.recording import Floats, Ints
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.measurements.attitude import Attitude
@@ -149,7 +149,7 @@ class PhdSlam:
         between = np.sqrt(sites.clock_offset_std_m**2 - component**2)
         offset = sites.clock_offset_mean_m + between * ndtri(quasi_random(n, len(sites), self._rng))
         room = _room(n, max(CAPACITY, 2 * len(self._site_of)))
-        _put_anchors(room, sites, self._site_of)
+        _put_anchors(room, self._fusion.setup)
         error_variance = np.stack([model.bias**2, np.zeros(6), model.scale**2], axis=1)
         return Particles(
             pose=setup.start_pose + setup.start_std * self._rng.standard_normal((n, 6)),
@@ -230,14 +230,12 @@ class PhdSlam:
             self._particles = p._replace(rows=new.rows, names=new.names, size=new.size)
 
 
-def _put_anchors(room: Map, sites: Sites, site_of: Ints) -> None:
+def _put_anchors(room: Map, setup: Setup) -> None:
     """Begin every map with the transmitters that are known before the drive."""
-    if sites.position_m is None:
-        return
-    known = np.flatnonzero(np.isfinite(sites.position_m[site_of]).all(axis=1))
+    known, position_m, std_m = setup.surveyed
     rows, names = room.rows[:, : len(known)], room.names[:, : len(known)]
-    rows[:, :, columns.MEAN : columns.COVARIANCE] = sites.position_m[site_of[known]]
-    rows[:, :, columns.COVARIANCE + np.diag(TRIANGLE)] = ANCHOR_STD_M**2
+    rows[:, :, columns.MEAN : columns.COVARIANCE] = position_m
+    rows[:, :, columns.COVARIANCE + np.diag(TRIANGLE)] = std_m**2 + ANCHOR_STD_M**2
     rows[:, :, columns.VISIBLE], rows[:, :, columns.HITS] = 1.0, SURVEYED
     names[:, :, LINK] = names[:, :, NAME] = known
     room.size[:] = len(known)

@@ -19,6 +19,7 @@ import numpy as np
 from cellslam.sim.frames import integrate_pose, rotation, rotation_angles
 from cellslam.sim.recording import Floats, Ints, OdometryModel
 from cellslam.slam.api import Setup, Snapshot
+from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.measurements.fusion import Fusion
 from cellslam.slam.measurements.readings import ports_of, readings
 from cellslam.slam.smoother.factor_graph import Leg, Priors, Problem, Sighting
@@ -104,12 +105,16 @@ def problem_of(drive: Drive, options: SmootherOptions) -> tuple[Problem, Ints]:
     time_s = np.cumsum(drive.dt_s)
     segment = (time_s[frames[:-1]] / options.bias_s).astype(np.int64)
     walk = np.concatenate([model.bias_walk_density[biased] * np.sqrt(options.bias_s), np.zeros(len(scaled))])
-    kept, sightings = _sightings(drive, legs, frames, options)
+    fusion = Fusion(setup, options.ekf_slam)
+    kept, sightings = _sightings(drive, fusion, legs, frames, options)
+    link, surveyed_m, survey_std_m = fusion.setup.surveyed  # EKF-SLAM's VTs of surveyed links are called as these are
+    seen = np.isin(link, [kept[sighting.vt] for sighting in sightings])
     priors = Priors(
         start=setup.start_pose, start_std=setup.start_std,
         error_std=np.maximum(np.concatenate([model.bias[biased], model.scale[scaled]]), 1e-9),
         walk_std=np.maximum(walk, 1e-9),
         offset_mean_m=setup.sites.clock_offset_mean_m, offset_std_m=setup.sites.clock_offset_std_m,
+        surveyed=np.searchsorted(kept, link[seen]), surveyed_m=surveyed_m[seen], survey_std_m=survey_std_m[seen],
     )  # fmt: skip
     problem = Problem(
         priors=priors, keyframes=drive.poses[frames], offset_m=drive.offset_m,
@@ -153,10 +158,9 @@ def _after(pose: Floats, step: Floats) -> Floats:
 
 
 def _sightings(
-    drive: Drive, legs: Sequence[Leg], frames: Ints, options: SmootherOptions
+    drive: Drive, fusion: Fusion[EkfSlamOptions], legs: Sequence[Leg], frames: Ints, options: SmootherOptions
 ) -> tuple[list[int], tuple[Sighting, ...]]:
     """Return the identities of the VTs in the graph, and all that was seen of them about each keyframe."""
-    fusion = Fusion(drive.setup, options.ekf_slam)
     setup = fusion.setup
     ids, counts = np.unique(np.concatenate(drive.association), return_counts=True)
     often = ids[(counts >= options.vt_detections) & (ids >= 0)]

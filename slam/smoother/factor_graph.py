@@ -21,6 +21,8 @@ from cellslam.slam.model import matrices_kernel as algebra
 from cellslam.slam.model.matrices_kernel import Mat3, mat_mat, transposed, transposed_vec, vec_at, vec_minus, vec_of
 from cellslam.slam.model.measurement_kernel import spherical, spherical_jacobian
 
+LEAST_SURVEY_STD_M = 1e-3  # keeps the graph regular where a survey is exact
+
 
 @dataclass(frozen=True)
 class Leg:
@@ -62,7 +64,8 @@ class Sighting:
 class Priors:
     """What is known before: `start` pose (6,) and its deviations `start_std` (6,); deviations `error_std` (e,) of the
     odometry errors, and `walk_std` (e,) from one segment to the next; clock offsets `offset_mean_m`, `offset_std_m`
-    (S,)."""
+    (S,); of surveyed transmitters that are seen, the VTs that they are, `surveyed` (n,), positions and deviations (n,
+    3)."""
 
     start: Floats
     start_std: Floats
@@ -70,6 +73,9 @@ class Priors:
     walk_std: Floats
     offset_mean_m: Floats
     offset_std_m: Floats
+    surveyed: Ints
+    surveyed_m: Floats
+    survey_std_m: Floats
 
 
 @dataclass(frozen=True)
@@ -159,6 +165,9 @@ def _graph(problem: Problem, used: Any, huber: float) -> Any:
             graph.add(gtsam.CustomFactor(diagonal(problem.priors.walk_std), keys, _walk))
     for site, (mean, std) in enumerate(zip(problem.priors.offset_mean_m, problem.priors.offset_std_m, strict=True)):
         graph.add(gtsam.PriorFactorVector(B(site), np.array([mean]), diagonal(np.array([max(std, 1e-6)]))))
+    surveyed = zip(problem.priors.surveyed, problem.priors.surveyed_m, problem.priors.survey_std_m, strict=True)
+    for vt, place, std in surveyed:
+        graph.add(gtsam.PriorFactorPoint3(L(int(vt)), place, diagonal(np.maximum(std, LEAST_SURVEY_STD_M))))
     for k, leg in enumerate(problem.legs):
         keys = [X(k), X(k + 1), *([E(int(problem.segment[k]))] if len(problem.priors.error_std) else [])]
         graph.add(gtsam.CustomFactor(diagonal(leg.std), gtsam.KeyVector(keys), _driven(leg)))

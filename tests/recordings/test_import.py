@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cellslam.recordings.exporting.tables import write_csv, write_mat
+from cellslam.recordings.importing.campaign import Campaign, build
 from cellslam.recordings.importing.importing import import_folder
 from cellslam.recordings.importing.matlab import variables
 from cellslam.sim.errors import InputError
@@ -96,6 +97,36 @@ def test_units_signs_zeros_clocks_by_hand(campaign: Path) -> None:
     assert r.sites.clock_offset_std_m.tolist() == [0.0, 30.0]
     assert r.start_pose == pytest.approx([1, 2, 3, np.pi / 2, 0, 0])
     assert r.odometry_model.noise_density.tolist() == [0.1, 0, 0, 0.01, 0, 0]
+
+
+def test_surveyed_sites_and_sectors(campaign: Path, tmp_path: Path) -> None:
+    """North is surveyed, with a height that is hardly known; its antenna points to the south-west."""
+    survey = "[sites.north]\nposition_m = [10.0, 20.0, 30.0]\nposition_std_m = [0.5, 0.5, 5.0]"
+    text = MANIFEST.replace("[sites.north]", survey).replace('site = "north"', 'site = "north"\nazimuth_deg = 225')
+    (campaign / "recording.toml").write_text(text)
+    r = import_folder(campaign)
+    r.save(tmp_path / "north.h5")
+    write_csv(r, tmp_path / "again")
+    for made in (r, Recording.load(tmp_path / "north.h5"), import_folder(tmp_path / "again")):
+        assert made.sites.surveyed_m[0].tolist() == [10.0, 20.0, 30.0] and np.isnan(made.sites.surveyed_m[1]).all()
+        assert made.sites.survey_std_m.tolist() == [[0.5, 0.5, 5.0], [0.0, 0.0, 0.0]]
+        azimuth = np.degrees(np.asarray(made.links.azimuth_rad))
+        assert azimuth == pytest.approx([-135.0, np.nan], nan_ok=True)
+    (campaign / "recording.toml").write_text(text.replace("position_m = [10.0, 20.0, 30.0]", ""))
+    with pytest.raises(InputError, match=r"\[sites.north\]: position_std_m without position_m"):
+        import_folder(campaign)
+    half = dataclasses.replace(r.sites, position_m=np.array([[1.0, 2.0, np.nan], [1.0, 2.0, 3.0]]))
+    with pytest.raises(InputError, match=r"sites.position_m, row 0: is known in part: write x, y and z"):
+        dataclasses.replace(r, sites=half)
+
+
+@pytest.mark.parametrize(
+    ("surveys", "message"),
+    [({"roof": (0, 0, 0)}, "site_surveys: 'roof' is no site of a link"), ({"site": (0, 0)}, "'site' has 2 numbers")],
+)
+def test_impossible_surveys_are_refused(surveys: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        build(Campaign([0.0], {"distance_m": [1.0]}, start_pose=(0,) * 6, site_surveys=surveys))
 
 
 def test_a_reference_is_moved_from_its_antenna_to_the_array(campaign: Path) -> None:

@@ -134,6 +134,14 @@ def test_where_odometry_pauses_nothing_is_made_up() -> None:
     assert unknown[10:23].all() and not unknown[:9].any() and not unknown[25:].any()
 
 
+def test_commands_hold_through_a_pause() -> None:
+    times = np.arange(0.0, 20.0, 0.5)
+    given = np.array([0.0, 0.5, 1.0, 15.0, 15.5])
+    table = OdometryTable(given, {"u_x": np.array([0.0, 0.0, 1.0, 3.0, 0.0])}, valid_s=np.inf)
+    recording = build(Campaign(times, {"azimuth_rad": 0.1 * np.ones(40)}, table, start_pose=(0.0,) * 6))
+    assert recording.odometry[1:32, 0] == pytest.approx(np.repeat([0.0, 1.0, 3.0], [2, 28, 1]))
+
+
 def test_the_start_is_fitted_to_the_reference() -> None:
     times = np.arange(0.0, 60.0, 0.1)
     fixes = np.arange(0.25, 60.0, 1.0)

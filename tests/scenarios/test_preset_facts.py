@@ -42,6 +42,14 @@ def test_drives_are_the_same_with_another_receiver(name: str, other: str) -> Non
     assert one.radio.clock_offset_std_m == another.radio.clock_offset_std_m == 150.0
 
 
+def test_a_survey_changes_nothing_of_the_world() -> None:
+    one, another = load("lund-530"), load("lund-known")
+    for part in ("city", "vehicle", "odometry", "radio", "facts"):
+        assert getattr(one, part) == getattr(another, part)
+    for site, known in zip(one.sites, another.sites, strict=True):
+        assert known == site.model_copy(update={"known": True, "survey_std_m": 1.0})
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["lund-nr", "munich-nr"])
 def test_near_and_far_cells_of_nr_share_no_elements(name: str) -> None:

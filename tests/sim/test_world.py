@@ -52,6 +52,25 @@ def test_another_seed_or_trial_differs_but_is_the_same_place(recording: Recordin
     np.testing.assert_allclose(recording.start_pose[:2], other.start_pose[:2], atol=1e-6)
 
 
+def test_known_sites_are_surveyed_with_errors_and_nothing_else_changes(recording: Recording) -> None:
+    config = small_world()
+    one, other = config.sites
+    known = config.model_copy(update={"sites": (one.model_copy(update={"known": True, "survey_std_m": 2.0}), other)})
+    made, truth = [simulate(known, 1, trial) for trial in range(4)], recording.truth
+    assert truth is not None and recording.sites.position_m is None and recording.links.azimuth_rad is None
+    np.testing.assert_array_equal(made[0].measurements.distance_m, recording.measurements.distance_m)
+    np.testing.assert_array_equal(made[0].start_pose, recording.start_pose)
+    sites, links = made[0].sites, made[0].links
+    assert sites.survey_std_m.tolist() == [[2.0] * 3, [0.0] * 3] and np.isnan(sites.surveyed_m[1]).all()
+    errors = np.array([r.sites.surveyed_m[0] - r.truth.site_positions_m[0] for r in made if r.truth is not None])
+    assert len(np.unique(errors)) == errors.size and 0.7 < np.sqrt(np.mean(errors**2)) < 4.0  # twelve draws
+    assert np.degrees(np.asarray(links.azimuth_rad)[::2]) == pytest.approx([30.0, 150.0, np.nan, np.nan], nan_ok=True)
+    second = prepare(known, 1, 7, place=0)  # another drive through the place of the first
+    np.testing.assert_array_equal(second.surveyed_m, sites.surveyed_m)
+    np.testing.assert_array_equal(truth.site_vts >= 0, [True, True])
+    np.testing.assert_array_equal(truth.vts.order[truth.site_vts], [0, 0])
+
+
 def test_without_noise_the_truth_predicts_every_measurement() -> None:
     world = small_world(noise_scale=0.0, clutter_scale=0.0, perfect_detection=True)
     r = simulate(world, 1, 0)

@@ -108,3 +108,16 @@ def test_smooths_a_drive_and_leaves_wrong_associations_out(toy_recording: Callab
     (_, spoilt), solution = drive(recording, 0.05)
     assert spoilt < 1.5 * clean + 0.02
     assert solution.outlier.sum() > 5
+
+
+def test_a_survey_holds_the_graph(toy_recording: Callable[..., Recording]) -> None:
+    """A transmitter that was surveyed stays where the survey has it, one without a survey follows the measurements."""
+    recording = toy_recording(80, seed=3)
+    truth, wrong = recording.truth, np.array([[2.0, 1.0, 0.0]])
+    assert truth is not None
+    for std_m, moves in ((1e-3, False), (20.0, True)):
+        place = np.where([[True], [False]], truth.site_positions_m + wrong, np.nan)
+        sites = replace(recording.sites, position_m=place, position_std_m=np.full((2, 3), std_m))
+        _, solution = drive(replace(recording, sites=sites), 0.0)
+        off = np.linalg.norm(solution.vts[0] - truth.site_positions_m[0] - wrong[0])
+        assert (off > 0.3) == moves

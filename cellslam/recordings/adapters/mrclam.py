@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellslam.recordings.adapters.shared import increasing, matrix
+from cellslam.recordings.adapters.shared import given, increasing, matrix
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.odometry import OdometryTable
 from cellslam.sim.errors import InputError
@@ -29,14 +29,16 @@ SHEET = {
 }
 
 
-def load(folder: Path, *, robot: int = 1, association: str = "unknown") -> Campaign:
+def load(folder: Path, *, robot: int = 1, association: str = "unknown", sites: str = "unknown") -> Campaign:
     """Return the campaign of one robot; sightings of the other robots, which move, are left out.
 
     `association`: "unknown", bar codes are not looked at and all landmarks share a link, misread ones are clutter;
-    "known", each landmark is a link of its own. Raises InputError.
+    "known", each landmark is a link of its own. `sites`: "known", the landmarks' positions are known, too, with the
+    deviations in the file. Raises InputError.
     """
-    if association not in ("unknown", "known"):
-        raise InputError(f"association = '{association}': give 'unknown' or 'known'")
+    known, surveyed = given("association", association), given("sites", sites)
+    if surveyed and not known:
+        raise InputError("sites = 'known' needs association = 'known': a position is that of one landmark")
     if robot not in range(1, ROBOTS + 1):
         raise InputError(f"robot = {robot}: give 1 to {ROBOTS}")
     codes = matrix(folder / "Barcodes.dat", ("subject", "barcode"))
@@ -46,23 +48,29 @@ def load(folder: Path, *, robot: int = 1, association: str = "unknown") -> Campa
     seen = np.unique(matrix(folder / f"Robot{robot}_Measurement.dat", ("time", "barcode", "range", "bearing")), axis=0)
     subject_of = {int(code): int(subject) for subject, code in codes}
     subject = np.array([subject_of.get(int(code), 0) for code in seen[:, 1]])
-    known = association == "known"
     kept = (subject > ROBOTS if known else ~np.isin(subject, range(1, ROBOTS + 1))) & (seen[:, 0] >= odometry[0, 0])
     if not kept.any():
         raise InputError(f"{folder}: robot {robot} saw no landmark that Barcodes.dat knows")
     numbers = np.unique(subject[kept]) if known else np.zeros(1)
+    surveys = {_name(row[0]): (*row[1:3], 0.0, *row[3:5], 0.0) for row in landmarks if row[0] in numbers}
     return Campaign(
         time_s=seen[kept, 0],
         columns={"distance_m": seen[kept, 2], "azimuth_rad": seen[kept, 3]},
         link=np.searchsorted(numbers, subject[kept]) if known else None,
-        link_sites=[f"landmark {number}" for number in numbers.astype(int)] if known else ("landmarks",),
-        odometry=OdometryTable(odometry[:, 0], {"u_x": odometry[:, 1], "u_psi": odometry[:, 2]}),
+        link_sites=[_name(number) for number in numbers] if known else ("landmarks",),
+        site_surveys=surveys if surveyed else {},
+        odometry=OdometryTable(odometry[:, 0], {"u_x": odometry[:, 1], "u_psi": odometry[:, 2]}, valid_s=np.inf),
         noise=SHEET,
         reference=ReferenceTable(truth[:, 0], truth[:, 1:3], truth[:, 3]),
         plane=True,
         about={
             "campaign": "MRCLAM",
-            "description": f"{folder.name}, robot {robot}, association {association}",
+            "description": f"{folder.name}, robot {robot}, association {association}"
+            + (", landmarks known" if surveyed else ""),
             "landmarks_m": {str(int(row[0])): row[1:3].tolist() for row in landmarks},
         },
     )
+
+
+def _name(subject: float) -> str:
+    return f"landmark {int(subject)}"

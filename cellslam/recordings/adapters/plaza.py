@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellslam.recordings.adapters.shared import increasing, matrix
+from cellslam.recordings.adapters.shared import given, increasing, matrix
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.matlab import variables
 from cellslam.recordings.importing.odometry import OdometryTable
@@ -37,9 +37,14 @@ SHEET = {
 }
 
 
-def load(folder: Path) -> Campaign:
-    """Return the campaign of a .mat file, or of the one that `folder` holds; without GT it starts at the origin."""
-    tables = _tables(folder)
+def load(folder: Path, *, sites: str = "unknown") -> Campaign:
+    """Return the campaign of a .mat file, or of the one that `folder` holds; without GT it starts at the origin.
+
+    `sites`: "known", the beacons stand where TL has them, in the frame of GT. Raises InputError.
+    """
+    surveyed, tables = given("sites", sites), _tables(folder)
+    if surveyed and not {"GT", "TL"} <= set(tables):
+        raise InputError(f"{folder}: has no GT and TL, which say where the beacons stand: leave out sites = 'known'")
     steps, ranges = increasing(tables["DR"]), np.unique(tables["TD"], axis=0)
     path = increasing(tables["GT"]) if "GT" in tables else None
     # A row is what happened since the row before; of the first, only a pose before it tells since when.
@@ -57,7 +62,8 @@ def load(folder: Path) -> Campaign:
         time_s=ranges[:, 0],
         columns={"distance_m": ranges[:, 3]},
         link=link,
-        link_sites=[f"beacon {int(beacon)}" for beacon in beacons],
+        link_sites=[_name(beacon) for beacon in beacons],
+        site_surveys={_name(row[0]): (*row[1:], 0.0) for row in tables["TL"] if row[0] in beacons} if surveyed else {},
         odometry=OdometryTable(times, {"u_x": rates[:, 0], "u_psi": rates[:, 1]}, hold="before"),
         noise=SHEET,
         start_pose=(0.0,) * 6 if path is None else None,
@@ -65,10 +71,14 @@ def load(folder: Path) -> Campaign:
         plane=True,
         about={
             "campaign": "Plaza",
-            "description": folder.name,
+            "description": folder.name + (", beacons known" if surveyed else ""),
             "beacons_m": {str(int(row[0])): row[1:].tolist() for row in tables.get("TL", ())},
         },
     )
+
+
+def _name(beacon: float) -> str:
+    return f"beacon {int(beacon)}"
 
 
 def heading(path: Floats) -> Floats:

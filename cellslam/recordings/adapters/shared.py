@@ -35,6 +35,13 @@ def matrix(path: Path, columns: tuple[str, ...]) -> Floats:
     return rows
 
 
+def given(name: str, value: str) -> bool:
+    """Return whether an option that is "known" or "unknown" is known. Raises InputError for another value."""
+    if value not in ("unknown", "known"):
+        raise InputError(f"{name} = '{value}': give 'unknown' or 'known'")
+    return value == "known"
+
+
 def increasing(rows: Floats) -> Floats:
     """Return the rows (N, C) in the order of their first column, a time in s, and one of those that share it."""
     kept: Floats = rows[np.unique(rows[:, 0], return_index=True)[1]]

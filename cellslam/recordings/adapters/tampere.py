@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellslam.recordings.adapters.shared import simulated_odometry
+from cellslam.recordings.adapters.shared import given, simulated_odometry
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.matlab import variables
 from cellslam.sim.errors import InputError
@@ -29,8 +29,12 @@ DISTANCE_STD_M, AZIMUTH_STD_RAD = 0.3, np.radians(3.0)  # a nanosecond and three
 NOISE = (0.05, 0.05, 0.0, np.radians(2.0), 0.0, 0.0)  # of the simulated odometry, m/s and rad/s times root second
 
 
-def load(folder: Path) -> Campaign:
-    """Return the campaign of the file in `folder` (or the file itself). Raises InputError naming what does not fit."""
+def load(folder: Path, *, sites: str = "unknown") -> Campaign:
+    """Return the campaign of the file in `folder` (or the file itself). Raises InputError naming what does not fit.
+
+    `sites`: "known", position and heading of the transmitter are known, those of sim.tx at the first place.
+    """
+    surveyed = given("sites", sites)
     places = [folder] if folder.is_file() else [folder / NAME, folder / "measurements" / NAME]
     path = next((place for place in places if place.is_file()), None)
     if path is None:
@@ -44,6 +48,8 @@ def load(folder: Path) -> Campaign:
     if rx.ndim != 2 or rx.shape[0] < 3 or rx.shape[1] != len(cells):
         count = len(cells)
         raise InputError(f"{path}: sim.rx has shape {rx.shape}, expected (3, {count}) as sim.y has {count} cells")
+    tx = np.asarray(sim["tx"], np.float64)
+    tx = tx[:, 0] if tx.ndim == 2 else tx
     for index, cell in enumerate(cells):
         if cell.size and cell.shape[0] != 3:
             raise InputError(
@@ -65,9 +71,15 @@ def load(folder: Path) -> Campaign:
         snapshots_s=times,
         odometry=simulated_odometry(times, rx[:2].T, yaw, NOISE),
         link_sites=("transmitter",),
+        link_azimuths=(tx[2],) if surveyed else None,
+        site_surveys={"transmitter": (tx[0], tx[1], 0.0)} if surveyed else {},
         noise={"noise_density": NOISE},
         start_pose=(rx[0, 0], rx[1, 0], 0.0, float(yaw[0]), 0.0, 0.0),
         reference=ReferenceTable(times, rx[:2].T, yaw, 0.01),
         plane=True,
-        about={"campaign": "Tampere 60 GHz", "description": "Tampere 60 GHz; odometry simulated from surveyed poses"},
+        about={
+            "campaign": "Tampere 60 GHz",
+            "description": "Tampere 60 GHz; odometry simulated from surveyed poses"
+            + ("; transmitter known" if surveyed else ""),
+        },
     )

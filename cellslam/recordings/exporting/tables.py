@@ -130,6 +130,13 @@ def _write_manifest(recording: Recording, made: Tables, place: Path, sources: Ma
         },
         "noise": {},
     }
+    for i, name in enumerate(r.sites.name):
+        if np.isfinite(r.sites.surveyed_m[i]).all():
+            survey = {"position_m": r.sites.surveyed_m[i].tolist(), "position_std_m": r.sites.survey_std_m[i].tolist()}
+            text["sites"][name] |= survey
+    for i, azimuth in enumerate([] if r.links.azimuth_rad is None else np.degrees(r.links.azimuth_rad).tolist()):
+        if np.isfinite(azimuth):
+            text["links"][str(i)]["azimuth_deg"] = azimuth
     for i, name in enumerate(COMPONENTS):
         text["noise"][name] = {kind: float(getattr(r.odometry_model, kind)[i]) for kind in KINDS_OF_NOISE}
     if "odometry" in made:

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cellslam.recordings.importing.odometry import OdometryTable, column_of, mean_velocities, motion_of, times_of
+from cellslam.recordings.importing.odometry import (
+    OdometryTable,
+    column_of,
+    mean_velocities,
+    motion_of,
+    times_of,
+    to_fixes,
+)  # fmt: skip
 from cellslam.recordings.importing.start_pose import start_from_reference
 from cellslam.sim import recording as contract
 from cellslam.sim.errors import InputError
@@ -41,6 +48,9 @@ class Campaign:
     `time_s` (M,) and `columns`: a row a path; those of `QUANTITIES` and `CLAIMS` that exist; `link` (M,) indexes
     `link_sites`, the site of each link. `site_offsets`: by site, the prior of the clock offset (mean, std) in
     metres and as many as there are of the further columns of `CLOCK_PRIOR`; a site whose clock is known has (0, 0).
+    `site_surveys`: by site, where it stands and, if the survey errs, the deviations: (x, y, z) or (x, y, z, std x, std
+    y, std z) in metres; a site that is not in it was not surveyed. `link_azimuths`: where each sector's antenna points,
+    rad counter-clockwise from east, NaN where it is not known.
     `start_pose`: None takes it from the reference. `snapshots_s`: times of all snapshots, empty ones too; None: the
     times of the measurements. `noise`: OdometryModel's fields by name, each (6,).
     """
@@ -52,7 +62,9 @@ class Campaign:
     link_sites: Sequence[str] = ("site",)
     link_cells: Sequence[int] | None = None
     link_ports: Sequence[int] | None = None
+    link_azimuths: Sequence[float] | None = None
     site_offsets: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    site_surveys: Mapping[str, Sequence[float]] = field(default_factory=dict)
     noise: Mapping[str, Sequence[float]] = field(default_factory=dict)
     start_pose: Sequence[float] | None = None
     start_std: Sequence[float] = NOTHING
@@ -77,6 +89,8 @@ def build(campaign: Campaign) -> Recording:
         start_pose = start_from_reference(motion, reference, float(times[0]))
     else:
         raise InputError("the start pose is not given, and there is no reference to take it from: give one of both")
+    if reference is not None and motion is not None:
+        reference = replace(reference, odometry=to_fixes(motion, times, reference.time_s, start_pose))
     nothing = np.full((len(times), len(COMPONENTS)), np.nan)
     links, sites = _links(campaign)
     return Recording(
@@ -135,9 +149,10 @@ def _measurements(campaign: Campaign, rows_s: Floats, times: Floats) -> contract
 
 def _links(campaign: Campaign) -> tuple[contract.Links, contract.Sites]:
     names = tuple(dict.fromkeys(campaign.link_sites))
-    for name in campaign.site_offsets:
-        if name not in names:
-            raise InputError(f"site_offsets: '{name}' is no site of a link (known: {', '.join(names)})")
+    for argument in ("site_offsets", "site_surveys"):
+        for name in getattr(campaign, argument):
+            if name not in names:
+                raise InputError(f"{argument}: '{name}' is no site of a link (known: {', '.join(names)})")
     missing = np.full(len(campaign.link_sites), -1, np.int64)
     cells = missing if campaign.link_cells is None else np.asarray(campaign.link_cells, np.int64)
     ports = missing if campaign.link_ports is None else np.asarray(campaign.link_ports, np.int64)
@@ -147,7 +162,22 @@ def _links(campaign: Campaign) -> tuple[contract.Links, contract.Sites]:
         prior[: len(given), i] = given
     clocks = {name: row for i, (name, row) in enumerate(zip(CLOCK_PRIOR, prior, strict=True)) if i < 2 or row.any()}
     site = np.array([names.index(name) for name in campaign.link_sites], np.int64)
-    return contract.Links(site, cells, ports), contract.Sites(names, **clocks)
+    azimuth = None
+    if campaign.link_azimuths is not None and np.isfinite(campaign.link_azimuths).any():
+        azimuth = wrap_angle(np.asarray(campaign.link_azimuths, np.float64))
+    return contract.Links(site, cells, ports, azimuth), contract.Sites(names, **clocks, **_surveys(campaign, names))
+
+
+def _surveys(campaign: Campaign, names: Sequence[str]) -> dict[str, Floats]:
+    """Return the columns of the sites (S,) that say what a survey knows; none where there was no survey."""
+    if not campaign.site_surveys:
+        return {}
+    survey = np.tile([np.nan, np.nan, np.nan, 0.0, 0.0, 0.0], (len(names), 1))
+    for name, given in campaign.site_surveys.items():
+        if len(given) not in (3, 6):
+            raise InputError(f"site_surveys: '{name}' has {len(given)} numbers: give x, y, z, or their deviations, too")
+        survey[names.index(name), : len(given)] = given
+    return {"position_m": survey[:, :3].copy(), "position_std_m": survey[:, 3:].copy()}
 
 
 def _model(noise: Mapping[str, Sequence[float]]) -> contract.OdometryModel:

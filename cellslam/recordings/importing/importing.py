@@ -10,7 +10,7 @@ import numpy as np
 from cellslam.recordings.importing.campaign import KINDS_OF_NOISE, NOTHING, Campaign, ReferenceTable, build
 from cellslam.recordings.importing.columns import ATTITUDE, POSITION, Table, read_table
 from cellslam.recordings.importing.geodesy import projected
-from cellslam.recordings.importing.manifest import NAME, DriveTable, Manifest, ReferenceFile, load_manifest
+from cellslam.recordings.importing.manifest import NAME, DriveTable, Link, Manifest, ReferenceFile, load_manifest
 from cellslam.recordings.importing.odometry import OdometryTable
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.frames import mean_velocity, rotation
@@ -52,7 +52,9 @@ def campaign_of(folder: Path, manifest: Manifest) -> Campaign:
         link_sites=sites,
         link_cells=[-1 if known is None else known.cell_id for known in links],
         link_ports=[-1 if known is None else known.port for known in links],
+        link_azimuths=[_azimuth(known) for known in links],
         site_offsets=_offsets(manifest, sites),
+        site_surveys=_surveys(manifest),
         odometry=odometry,
         noise=_noise(manifest),
         start_pose=_start(manifest),
@@ -94,6 +96,23 @@ def _offsets(manifest: Manifest, sites: list[str]) -> dict[str, tuple[float, ...
     return {name: tuple(getattr(site, column) for column in CLOCK_PRIOR) for name, site in manifest.sites.items()}
 
 
+def _surveys(manifest: Manifest) -> dict[str, tuple[float, ...]]:
+    for name, site in manifest.sites.items():
+        if site.position_m is None and any(site.position_std_m):
+            raise InputError(
+                f"[sites.{name}]: position_std_m without position_m: write where the site stands, or neither"
+            )
+    return {
+        name: (*site.position_m, *site.position_std_m)
+        for name, site in manifest.sites.items()
+        if site.position_m is not None
+    }
+
+
+def _azimuth(link: Link | None) -> float:
+    return np.nan if link is None or link.azimuth_deg is None else float(np.radians(link.azimuth_deg))
+
+
 def _odometry(table: Table, asked: DriveTable) -> OdometryTable:
     times, columns, hold = table.time_s, table.columns, asked.hold
     if asked.kind == "poses":
@@ -106,7 +125,7 @@ def _odometry(table: Table, asked: DriveTable) -> OdometryTable:
     if asked.axes == "forward-right-down":
         other_way = ("u_y", "u_z", "u_psi", "u_theta")
         columns = {name: -values if name in other_way else values for name, values in columns.items()}
-    return OdometryTable(times, columns, hold, asked.lever_arm_m)
+    return OdometryTable(times, columns, hold, asked.valid_s, asked.lever_arm_m)
 
 
 def _differences(columns: dict[str, Floats], times: Floats) -> dict[str, Floats]:

@@ -88,6 +88,10 @@ class DriveTable(FileTable):
     hold: Literal["next", "before", "linear"] = Field(
         "next", description="a row is valid until the next row, since the row before, or in between interpolate"
     )
+    valid_s: float | None = Field(
+        None, gt=0, description="how long a row is valid at most, s; inf: commands, which hold until the next; none: "
+        "five times the median interval",
+    )  # fmt: skip
     axes: Literal["forward-left-up", "forward-right-down"] = Field("forward-left-up", description="axes of the body")
     lever_arm_m: Triple = Field((0.0, 0.0, 0.0), description="where the antenna is, from the point that is measured, m")
 
@@ -108,6 +112,9 @@ class Link(Table):
     site: str = Field(description="name of the site")
     cell_id: int = Field(-1, ge=-1, description="cell identity; -1: none")
     port: int = Field(-1, ge=-1, description="antenna port; -1: none")
+    azimuth_deg: float | None = Field(
+        None, description="where the sector's antenna points, counter-clockwise from east, deg; none: not known"
+    )
 
 
 class Site(Table):
@@ -119,6 +126,10 @@ class Site(Table):
     clock_walk_m_sqrt_s: float = Field(0.0, ge=0, description="density of the offset's random walk, m/sqrt(s)")
     clock_drift_walk_m_s_sqrt_s: float = Field(0.0, ge=0, description="density of the rate's walk, (m/s)/sqrt(s)")
     clock_step_std_m: float = Field(0.0, ge=0, description="deviation of steps at unknown times, m; 0: none")
+    position_m: Triple | None = Field(
+        None, description="where its antenna was surveyed to stand, x, y, z in the world frame, m; none: not known"
+    )
+    position_std_m: Triple = Field((0.0, 0.0, 0.0), description="deviations of the survey in x, y, z, m; 0: exact")
 
 
 class Start(Table):

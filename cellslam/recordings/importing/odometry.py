@@ -13,7 +13,7 @@ from cellslam.sim.frames import mean_velocity, rotation
 from cellslam.sim.recording import COMPONENTS, Floats
 
 HOLDS = ("next", "before", "linear")
-LONGEST_HOLD = 5.0  # a sample is taken to be valid for so many median intervals at most; then nothing was measured
+LONGEST_HOLD = 5.0  # median intervals for which a sample is valid at most, where nobody says how long it is
 STILL = 1e-9  # m/s and rad/s: a component that the odometry does not have, and that its motion does not amount to
 
 
@@ -22,13 +22,15 @@ class OdometryTable:
     """Velocities at their own times (N,): components of u by name ("u_x" in m/s, "u_psi" in rad/s, ...), each (N,).
 
     `hold`: "next", a row is valid until the next row; "before", since the row before; "linear", in between
-    interpolate. A component that is left out was not measured. `lever_arm_m`: the array in the body frame of the
-    point whose velocity this is.
+    interpolate. `valid_s`: the longest time for which a row is valid, after which nothing was measured: infinite for
+    commands, which hold until the next one; None: five median intervals. A component that is left out was not measured.
+    `lever_arm_m`: the array in the body frame of the point whose velocity this is.
     """
 
     time_s: ArrayLike
     components: Mapping[str, ArrayLike]
     hold: str = "next"
+    valid_s: float | None = None
     lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0)
 
 
@@ -81,7 +83,7 @@ def motion_of(table: OdometryTable) -> Motion:
             raise InputError(f"odometry.{name}, row {infinite[0]}: is infinite; write NaN where nothing was measured")
     measured = ~np.isnan(values).all(axis=0)
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    gap = np.diff(times) > LONGEST_HOLD * step
+    gap = np.diff(times) > (LONGEST_HOLD * step if table.valid_s is None else table.valid_s)
     if table.hold == "next":
         edges = np.append(times, times[-1] + step)
         values[:-1][gap] = np.nan
@@ -129,6 +131,25 @@ def mean_velocities(motion: Motion, times: Floats, start_pose: Floats) -> Floats
     known[:, absent] = np.all(known[:, measured], axis=1, keepdims=True)
     out[1:][~known] = np.nan
     out[:, absent[~amounts]] = np.nan
+    return out
+
+
+def to_fixes(motion: Motion, times: Floats, fixes_s: Floats, start_pose: Floats) -> Floats:
+    """Return mean body velocities (R, 6), in m/s and rad/s, from the last of `times` (T,) before each of `fixes_s` (R,)
+    to the fix; NaN where less than half was measured, and for fixes outside of `times`; zero at a snapshot.
+    """
+    out = np.full((len(fixes_s), 6), np.nan)
+    inside = (fixes_s >= times[0]) & (fixes_s <= times[-1])
+    knots, at = np.unique(np.concatenate([times, fixes_s[inside]]), return_inverse=True)
+    if len(knots) < 2:
+        return out
+    poses, measured = integrate(motion, knots, start_pose)
+    fix, before = at[len(times) :], at[np.searchsorted(times, fixes_s[inside], side="right") - 1]
+    unmeasured = np.append(0, np.cumsum(~measured[:, motion.measured].all(axis=1)))
+    lasts = knots[fix] - knots[before]
+    known = unmeasured[fix] == unmeasured[before]
+    velocity = mean_velocity(poses[before], poses[fix], np.where(lasts > 0.0, lasts, 1.0))
+    out[inside] = np.where(known[:, None], velocity, np.nan)
     return out
 
 

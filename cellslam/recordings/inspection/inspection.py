@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cellslam.benchmarks.scores.metrics import duration_s
-from cellslam.benchmarks.scores.reference_fixes import outlying, within
+from cellslam.benchmarks.scores.reference_fixes import outlying, unled, within
 from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
 from cellslam.recordings.inspection.suspicions import suspicions
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.recording import COMPONENTS, Ints, Recording
+from cellslam.sim.recording import COMPONENTS, Ints, Recording, Sites
 
 DOTS, LINKS = 6000, 16  # of the figure: dots a panel, and rows
 GAP = 5.0  # an interval longer than so many median ones is a gap
@@ -110,8 +110,14 @@ def _reference(r: Recording) -> dict[str, Any] | None:
         "yaw": bool(np.isfinite(f.yaw_rad).any()),
         "height": bool(np.isfinite(f.position_m[:, 2]).any()),
         "outlying_at_s": f.time_s[outlying(f) & within(r, f)].round(3).tolist(),
+        "without_odometry": int(unled(r, f).sum()),
         "std_m": _number(np.nanmedian(f.position_std_m)) if np.isfinite(f.position_std_m).any() else None,
     }
+
+
+def _surveyed(sites: Sites) -> str:
+    count = int(np.isfinite(sites.surveyed_m).all(axis=1).sum())
+    return f", {count} of them surveyed" if count else ""
 
 
 def _missing(r: Recording) -> list[str]:
@@ -157,7 +163,7 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
             share = "" if q["share"] == 1.0 else f" ({100 * q['share']:.1f} % of the rows)"
             lines.append(f"  {name:<18}{q['least']:>10} .. {q['median']:>10} .. {q['most']:>10}{share}")
     lines += [
-        f"links         {len(found['links'])} of {len(recording.sites)} sites",
+        f"links         {len(found['links'])} of {len(recording.sites)} sites" + _surveyed(recording.sites),
         *map(_link_line, found["links"][:24]),
     ]
     for name, u in found["odometry"].items():
@@ -191,6 +197,8 @@ def _reference_lines(f: Mapping[str, Any]) -> list[str]:
     if at := f["outlying_at_s"]:
         times = ", ".join([*(f"{t:.14g}" for t in at[:5]), *(["..."] if len(at) > 5 else [])])
         lines.append(f"  outliers    {len(at)} far off their neighbours, at {times} s: left out of scores and figures")
+    if count := f["without_odometry"]:
+        lines.append(f"  pauses      {count} fixes where the odometry pauses: left out of scores and figures")
     return lines
 
 

@@ -56,6 +56,7 @@ from cellslam.slam.joint.state.layout import (
     POSITION,
     SHARE,
     SPREAD,
+    SURVEYED,
     UNSEEN,
     VT,
     WORTH,
@@ -168,7 +169,8 @@ def add(
     anchor, slots = f.vts.anchor[new], f.vts.slots[new]
     anchor[EXISTS], anchor[SHARE] = 1.0, 1.0
     anchor[MERGED], anchor[WORTH] = expected_share(seen.rules.merge_rate), 0.0
-    slots[LINK], slots[HITS], slots[LAST], slots[IDENT], slots[UNSEEN], slots[BEYOND] = link, 1, seen.now, ident, 0, 0
+    slots[LINK], slots[HITS], slots[LAST], slots[IDENT] = link, 1, seen.now, ident
+    slots[UNSEEN], slots[BEYOND], slots[SURVEYED] = 0, 0, 0
     f.vts.spread[new] = 0.0
     clear(b, new)
     f.count[0] = new + 1
@@ -188,11 +190,10 @@ def clear(b: Block, j: int) -> None:
 
 @lean
 def _gives_way(f: Filter, b: Block, now: int, confirm: int) -> int:
-    """Return the VT to give up for a new one, -1: none. What was surveyed, a VT without variance, stays."""
+    """Return the VT to give up for a new one, -1: none. What was surveyed stays."""
     worst, rank = -1, math.inf
     for j in range(f.count[0]):
-        place = f.vts.state[j, VT]
-        if f.vts.slots[j, LAST] < now and b.sums.detections[j] == 0 and f.p[place, place] > 0.0:
+        if f.vts.slots[j, LAST] < now and b.sums.detections[j] == 0 and f.vts.slots[j, SURVEYED] == 0:
             value = f.vts.slots[j, LAST] + (1e9 if f.vts.slots[j, HITS] >= confirm else 0.0)
             if value < rank:
                 worst, rank = j, value

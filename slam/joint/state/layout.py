@@ -14,9 +14,9 @@ POSE = 6
 NOBODY, OF_VT = -1, -2
 # States of a VT: range, azimuth, elevation about its anchor, and its diffuse errors in distance, azimuth, elevation.
 VT, DIFFUSE, VT_STATES = 0, 3, 6
-# Integers of a VT: link, detections, snapshot of the last one, identity, 1 while only a remembered map has it, and 1
-# where its wall is known not to reach: nothing is associated with it there.
-LINK, HITS, LAST, IDENT, UNSEEN, BEYOND, SLOT = range(7)
+# Integers of a VT: link, detections, snapshot of the last one, identity, 1 while only a remembered map has it, 1 where
+# its wall is known not to reach: nothing is associated with it there; and 1 if it was known before the drive: it stays.
+LINK, HITS, LAST, IDENT, UNSEEN, BEYOND, SURVEYED, SLOT = range(8)
 # Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation);
 # what share a guess has in its VT (1: the only one, 0: given up); the probability that another path has merged
 # with that of the VT; and the log-ratio of the likelihood of its measurements to that of clutter.
@@ -97,7 +97,7 @@ class FieldWeights(NamedTuple):
 
 class Vts(NamedTuple):
     """V VTs: `state` (V, 6): places of the states of each, -1 where there is none; `anchor` (V, 7) and integers `slots`
-    (V, 6), as above; `spread` (V, 6): covariance over the particles of what they expect to measure of each VT, xx, xy,
+    (V, 7), as above; `spread` (V, 6): covariance over the particles of what they expect to measure of each VT, xx, xy,
     xz, yy, yz, zz in m and rad. A VT that is known exactly has states without variance."""
 
     state: Ints

@@ -32,6 +32,9 @@ class JointFilter:
         self.size = len(self.drive.states.last)
         vts = broad_std**2 * np.eye(self.errors - self.core.size) if known is None else known
         self.P: Any = block_diag(np.diag(self.drive.motion.start), vts, np.eye(self.size - self.errors))
+        self.survey = self.drive.survey
+        if known is None:
+            self.P[self.survey.state, self.survey.state] = self.survey.variance
 
     def transition(self, t: int) -> tuple[Floats, Floats]:
         """F and Q of all states."""
@@ -47,8 +50,7 @@ class JointFilter:
         low, high = s.rows[t : t + 2]
         H = np.zeros((high - low, 3, self.size))
         for i, m in enumerate(range(low, high)):
-            view, vt = s.view_of[m], s.vt[m]
-            H[i, :, vt : vt + 3] = views.by_vt[view]
+            view = s.view_of[m]
             for r in range(3):
                 states = [*views.state[view, r], s.state[m, r]]
                 for state, load in zip(states, [*views.load[view, r], s.load[r]], strict=True):
@@ -71,6 +73,7 @@ class JointFilter:
     def run(self) -> tuple[Floats, Floats, Floats]:
         """Return covariances of the pose, deviations of the offsets, and errors of the pose as they were drawn."""
         poses, offsets, errors, error = [], [], [], np.zeros(self.size)
+        error[self.survey.state] = self.survey.error
         for t, step in enumerate(self.steps()):
             error = step.F @ error
             error[: self.core.size] += self.drive.motion.jump[t]

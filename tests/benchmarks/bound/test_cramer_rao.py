@@ -36,6 +36,35 @@ def test_bound_equals_the_joint_kalman_recursion(make_recording):
     assert offset[-1].max() < 0.9 * offset[0].min()
 
 
+def surveyed(recording: Recording, std_m: float, seed: int = 0) -> Recording:
+    """A copy whose first VT of each site is its transmitter, surveyed with errors that are drawn."""
+    truth = recording.truth
+    assert truth is not None
+    site_m = truth.vts.position_m[np.searchsorted(truth.vts.site, np.arange(len(recording.sites)))]
+    error_m = std_m * np.random.default_rng(seed).standard_normal(site_m.shape)
+    sites = replace(recording.sites, position_m=site_m + error_m, position_std_m=np.full(site_m.shape, std_m))
+    return replace(recording, sites=sites, truth=replace(truth, site_positions_m=site_m))
+
+
+@pytest.mark.parametrize("std_m", [0.0, 3.0])
+def test_surveyed_transmitters_are_states_with_the_variance_of_the_survey(make_recording, std_m):
+    recording = surveyed(make_recording(seed=3, snapshots=60, vts_per_site=3, detection=0.5), std_m)
+    plain = JointFilter(recording)
+    pose, offset, error = plain.run()
+    assert np.diag(plain.drive.survey.variance).max() == std_m**2
+    result = bound(recording)
+    assert apart(result.pose_covariance, pose) < 1e-5
+    np.testing.assert_allclose(result.clock_offset_std_m, offset, rtol=1e-5)
+    np.testing.assert_allclose(result.pose_error, error, rtol=1e-3, atol=1e-6)
+
+
+def test_the_more_exact_a_survey_is_the_lower_is_the_bound(make_recording):
+    recording = make_recording(seed=3, snapshots=120, vts_per_site=3)
+    stds = [bound(surveyed(recording, std)).position_rmse_m for std in (0.0, 1.0, 10.0, 1e5)]
+    assert stds[0] < 0.9 * stds[2] and sorted(stds) == stds
+    assert stds[3] == pytest.approx(bound(recording).position_rmse_m, rel=1e-4)
+
+
 def test_absent_components_carry_no_information(make_recording):
     full = make_recording(seed=4, snapshots=60, vts_per_site=3, detection=0.6)
     m, rng = full.measurements, np.random.default_rng(0)

@@ -83,6 +83,20 @@ def test_what_the_filter_errs_fits_what_it_is_sure_of(make_recording, drives):
     assert 1.2 < np.mean(squares) < 3.0
 
 
+def test_a_survey_counts_once_in_a_map(drives):
+    """The second drive has it by the map: neither again, nor as a birth."""
+    known = [
+        replace(d, sites=replace(d.sites, position_m=SITES + 1.0, position_std_m=np.full(SITES.shape, 2.0)))
+        for d in drives
+    ]
+    first = JointFilter(known[0], broad_std=1e4)
+    first.run()
+    vts = slice(first.core.size, first.errors)
+    pose, *_ = JointFilter(known[1], known=first.P[vts, vts]).run()
+    _, second = shared_map_bounds(known)
+    assert apart(second.pose_covariance, pose) < 1e-4
+
+
 def test_what_cannot_share_a_map_is_refused(make_recording, drives):
     elsewhere = replace(drives[1], truth=replace(drives[1].truth, site_positions_m=SITES + 1.0))
     with pytest.raises(InputError, match="sites of the recordings are not the same"):

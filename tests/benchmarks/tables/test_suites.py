@@ -22,6 +22,7 @@ from tests.short_drive import SET
 DIGESTS = {
     "standard-2": "f2ad4471781461225a76a2056f28104016ae4d6ee8bc10681ab0d56f517cc10c",
     "standard-3": "1e5126f842e3406016cb461398f11e18081c588914353b1181f3e8e7049c70f8",
+    "standard-4": "ccb8e53a47f2cc308d7ecab7f0da00ef92b72035f333bbe55be48ad263c6d1dd",
 }
 
 
@@ -34,19 +35,19 @@ def test_a_suite_never_changes(name: str) -> None:
 
 
 def test_suites_are_found_by_name_and_one_that_has_a_later_version_says_so() -> None:
-    assert suite("standard") is suite("standard-3")
+    assert suite("standard") is suite("standard-4")
     with pytest.raises(InputError, match=r"unknown suite 'standart'.*standard"):
         suite("standart")
     rows = pd.DataFrame(columns=[*suite_rows.COLUMNS])
-    for name, later in (("standard-2", "standard-3"), ("standard-3", None)):
+    for name, later in (("standard-3", "standard-4"), ("standard-4", None)):
         assert superseded_by(suite(name)) == later
         some = suite_rows.SuiteRows(suite(name), ("canyon",), 1, {}, "x", frozenset(), rows)
-        assert ("Superseded by `standard-3`." in suite_markdown(some, "command", "")) == (later is not None)
+        assert ("Superseded by `standard-4`." in suite_markdown(some, "command", "")) == (later is not None)
 
 
 def test_every_value_of_a_suite_is_written_out() -> None:
     """A default that changes later must not change a suite."""
-    one = suite("standard-3")
+    one = suite("standard-4")
     for name in one.scenarios:
         written = tomllib.loads((suites.FOLDER / f"{name}.toml").read_text("utf-8"))
         for table, values in tomllib.loads(scenario_of(one, name).toml()).items():
@@ -64,7 +65,7 @@ def test_accuracy_writes_its_tables_and_resumes(
     assert main([*line, "--quiet"]) == 0
     text = page.read_text()
     assert capfd.readouterr().out == text
-    assert "standard-3, a part: trials 0 to 0 of canyon" in text and "Not the suite's result" in text
+    assert "standard-4, a part: trials 0 to 0 of canyon" in text and "Not the suite's result" in text
     frame = results(tmp_path / "out")
     assert (frame["seed"].tolist(), frame["scenario"].tolist()) == ([530], ["canyon"])
     cells = next(row for row in text.splitlines() if row.startswith("| dead-reckoning")).split("|")
@@ -76,8 +77,8 @@ def test_accuracy_writes_its_tables_and_resumes(
 @pytest.fixture
 def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The rows of two estimators in a suite of six trials, of one scenario but one: short drives under known names."""
-    few = Suite("standard-3", ("full", "canyon", "anywhere"), 530, 6, {"anywhere": 1})
-    monkeypatch.setitem(SUITES, "standard-3", few)
+    few = Suite("standard-4", ("full", "canyon", "anywhere"), 530, 6, {"anywhere": 1})
+    monkeypatch.setitem(SUITES, "standard-4", few)
     monkeypatch.setattr(suites, "scenario_of", lambda _, name: load("tiny", {**SET, "name": name}))
     line = ["bench", "accuracy", "--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--executor", "serial"]
     files = {"--out": "out", "--write": "page.md", "--rows": "rows.json"}
@@ -103,7 +104,7 @@ def test_an_entry_is_ranked_and_holds_when_it_is_driven_again(entry: Path, capfd
     assert main(["bench", "leaderboard", str(entry), "--write", str(page)]) == 0
     board = page.read_text()
     ranked = [line.split("|")[1].strip() for line in board.splitlines() if line.startswith(("| ekf", "| dead"))]
-    assert "How estimators compare on `standard-3`: 6 drives of each of `full`, " in board
+    assert "How estimators compare on `standard-4`: 6 drives of each of `full`, " in board
     assert sorted(ranked[:2]) == sorted(some.rows["estimator"].unique()) and ranked[:2] == ranked[2:]
     assert "![Mean ranks and critical differences](board.png)" in board
 
@@ -129,10 +130,10 @@ def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
     fewer = json.dumps({**false, "rows": false["rows"][1:]})
     for content, words, expected in (
         (text, board, "is in another file too"),
-        (text.replace('"digest": "', '"digest": "0'), board, "made with another standard-3"),
-        (fewer, board, "not every drive of standard-3 once for each estimator"),
+        (text.replace('"digest": "', '"digest": "0'), board, "made with another standard-4"),
+        (fewer, board, "not every drive of standard-4 once for each estimator"),
         ("{}", check, "not rows of a suite"),
-        (text, [*check, "--sample", "14"], "--sample 14: standard-3 has 1 to 13 drives"),
+        (text, [*check, "--sample", "14"], "--sample 14: standard-4 has 1 to 13 drives"),
     ):
         entry.write_text(content)
         assert main(words) == 2
@@ -145,8 +146,8 @@ def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
     ("words", "expected"),
     [
         (("--suite", "nothing"), "unknown suite 'nothing'"),
-        (("--trials", "21"), "--trials 21: standard-3 has 1 to 20"),
-        (("--scenario", "tiny"), "unknown scenario of standard-3 'tiny'"),
+        (("--trials", "21"), "--trials 21: standard-4 has 1 to 20"),
+        (("--scenario", "tiny"), "unknown scenario of standard-4 'tiny'"),
         (("--write", "/nowhere/x.md"), "there is no folder"),
         (("--trials", "2", "--rows", "x.json"), "--rows is of a whole suite"),
         (("--check", "/nowhere/x.json"), "cannot be read"),

@@ -88,12 +88,20 @@ def test_known_association(folder: Path, cellslam: Run) -> None:
     )
     places = np.array(list(LANDMARKS.values()))[m.link]
     assert np.hypot(*(seen - places).T).max() < 0.6
+    assert r.sites.position_m is None
+    known = ("--set", "association=known", "--set", "sites=known")
+    assert cellslam(*WORDS, *ROBOT, folder, *known).status == 0
+    sites = Recording.load("a.h5").sites
+    np.testing.assert_allclose(sites.surveyed_m, [(*place, 0.0) for place in LANDMARKS.values()], atol=1e-5)
+    np.testing.assert_allclose(sites.survey_std_m, [[1e-3, 1e-3, 0.0]] * len(LANDMARKS))
 
 
 @pytest.mark.parametrize(
     ("option", "text"),
     [
         ("robot=7", "robot = 7: give 1 to 5"),
+        ("sites=known", "sites = 'known' needs association = 'known'"),
+        ("sites=yes", "sites = 'yes': give 'unknown' or 'known'"),
         ("robots=2", "has no option 'robots'; did you mean 'robot'"),
     ],
 )

@@ -47,8 +47,8 @@ def drive(drive_eights: Callable[..., Any]) -> Any:
 def imported(cellslam: Run) -> Callable[..., Recording]:
     """Imports a file, or the one of the working directory."""
 
-    def run(place: str = ".", out: str = "a.h5") -> Recording:
-        assert cellslam("--quiet", "import", place, "--adapter", "plaza", "--out", out).status == 0
+    def run(place: str = ".", out: str = "a.h5", *words: str) -> Recording:
+        assert cellslam("--quiet", "import", place, "--adapter", "plaza", "--out", out, *words).status == 0
         return Recording.load(out)
 
     return run
@@ -67,6 +67,18 @@ def test_a_mat_file(drive: Any, turned: bool, imported: Any, position_rmse: Call
     assert r.start_pose[3] == pytest.approx(true[0, 2], abs=0.05)
     # What the drift of the odometry alone amounts to: lost time, or heading before the step, would be more.
     assert position_rmse(r, "dead-reckoning") < 4.0
+
+
+def test_beacons_may_be_known(drive: Any, imported: Any, cellslam: Run) -> None:
+    made = tables(drive, False)
+    savemat("a.mat", made)
+    assert imported("a.mat").sites.position_m is None
+    sites = imported("a.mat", "a.h5", "--set", "sites=known").sites
+    places = [(*BEACONS[int(name.split()[1])], 0.0) for name in sites.name]
+    np.testing.assert_array_equal(sites.surveyed_m, places)
+    savemat("a.mat", {name: made[name] for name in ("DR", "TD", "GT")})
+    words = ("import", "a.mat", "--adapter", "plaza", "--out", "b.h5", "--set", "sites=known")
+    refused(cellslam(*words), "has no GT and TL, which say where the beacons stand")
 
 
 def test_text_files_without_ground_truth(drive: Any, imported: Any) -> None:

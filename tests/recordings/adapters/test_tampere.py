@@ -36,7 +36,10 @@ def test_the_60_ghz_campaign(tmp_path: Path, position_rmse: Callable[..., float]
     towards = pose[m.snapshot, 2] + m.azimuth_rad
     ends = pose[m.snapshot, :2] + m.distance_m[:, None] * np.column_stack([np.cos(towards), np.sin(towards)])
     assert np.quantile(cKDTree(SOURCES).query(ends)[0], 0.95) < 1.2
-    assert "simulated" in r.provenance["description"]
+    assert "simulated" in r.provenance["description"] and r.sites.position_m is None
+    known = import_adapter(tmp_path, "tampere-60ghz", {"sites": "known"})
+    np.testing.assert_array_equal(known.sites.surveyed_m, [[*SOURCES[0], 0.0]])
+    np.testing.assert_array_equal(known.links.azimuth_rad, [0.0])
     assert position_rmse(r, "fastslam", particles=100, noise_model="claimed") < position_rmse(r, "dead-reckoning")
 
 

@@ -64,3 +64,11 @@ def test_placed_sites_keep_their_distances(city: Any) -> None:
             assert z >= roof_height(city, x, y) + 4.0
         between = np.linalg.norm(placed[:, None, :2] - placed[None, :, :2], axis=-1)
         assert between[np.triu_indices(3, 1)].min() >= 150.0
+
+
+def test_the_error_of_a_survey_is_that_of_a_known_site() -> None:
+    with pytest.raises(ValueError, match="survey_std_m = 2 of a site that is not known: add known = true"):
+        SiteConfig(name="A", cells=CELL, survey_std_m=2.0)
+    # What a world is called, and the rows of its drives are found by, is as it was before sites could be known.
+    assert SiteConfig(name="A", cells=CELL).model_dump(mode="json").keys() == {"name", "position_m", "cells", "ports"}
+    assert SiteConfig(name="A", cells=CELL, known=True).model_dump(mode="json")["known"] is True

@@ -10,7 +10,7 @@ import pytest
 
 from cellslam.sim.frames import unit_vector, wrap_angle
 from cellslam.slam.joint import wall_images
-from cellslam.slam.joint.state.layout import EXISTS, HITS, IDENT, LINK, SHARE, UNSEEN
+from cellslam.slam.joint.state.layout import EXISTS, HITS, IDENT, LINK, SHARE, SURVEYED, UNSEEN
 from cellslam.slam.joint.wall_images import Double, Flatness, apart, best_pair, images_of, impose, place_of
 from cellslam.slam.joint.wall_slam import Facades
 from cellslam.slam.model.measurement_model import jacobians, predict
@@ -92,8 +92,8 @@ def test_the_site_is_the_vt_that_is_nearest_wherever_others_are_seen(one_filter)
 
 
 def test_a_site_that_was_surveyed_need_not_be_seen(one_filter):
-    f, at = filter_of(one_filter, scene()[:2], 0.1)
-    f.p[at.start : at.start + 3] = f.p[:, at.start : at.start + 3] = 0.0
+    f, _ = filter_of(one_filter, scene()[:2], 0.1)
+    f.vts.slots[0, SURVEYED] = 1
     places = seen(f)
     del places[10]
     assert [(image.site, image.vt) for image in images_of(f, places, 3)] == [(0, 1)]
