@@ -1,1 +1,1 @@
-"""The posterior Cramer-Rao bound of a drive."""
+"""The posterior Cramér-Rao bound of a drive: `cramer_rao` has its equations."""

@@ -1,1 +1,1 @@
-"""Figures: of one trial, of a sweep, of cities and rays."""
+"""Figures: of one trial (`trial`), of a sweep (`sweep`), of cities and rays."""

@@ -27,10 +27,10 @@ from cellslam.benchmarks.figures.sweep.sweep_data import (
 )
 from cellslam.benchmarks.report.scene import rounded
 from cellslam.benchmarks.report.worst_trials import Choice, failed_trials, trial_sections, worst_trials
-from cellslam.benchmarks.scores.metrics import METRIC
+from cellslam.benchmarks.scores.metrics import METRIC, METRIC_KEYS
 from cellslam.benchmarks.sweeps.rows import provenance
 from cellslam.benchmarks.sweeps.store import reading
-from cellslam.benchmarks.tables.formats import Column
+from cellslam.benchmarks.tables.formats import Column, columns_of
 from cellslam.benchmarks.tables.rankings import told_apart
 from cellslam.benchmarks.tables.summaries import CONFIDENCE, EFFICIENCY, estimate
 from cellslam.sim.progress import Progress
@@ -40,15 +40,7 @@ MOST_POINTS_OF_CURVES = 400
 MOST_PANELS = 24
 PLOTTED = {key: metric for key, metric in METRIC.items() if metric.axis}
 MORE_DIGITS = 1  # than in tables: figures are looked into
-COLUMNS = (
-    Column("position_rmse_m", interval=True),
-    Column(EFFICIENCY, interval=True),
-    Column("position_rmse_m", "q90", interval=True),
-    *(Column(key, interval=True) for key in ("heading_rmse_rad", "clock_offset_rmse_m", "map_gospa_m", "nees_mean")),
-    Column("bound_position_rmse_m"),
-    Column("realtime_factor"),
-    Column("peak_memory_mb", "max"),
-)
+COLUMNS = columns_of("report", (*METRIC_KEYS, EFFICIENCY))
 
 
 def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Metrics: what is scored of one trial, from a recording with truth, an estimator's result and the bound.
 
-A metric is a line of `METRICS`. Rows, stores, the reference page and `table --metric` follow from the line, figures and
-curves of reports where it has an axis. What tables show without being asked stands with these tables.
+A metric is a line of `METRICS`, and a line is all that a new one needs: rows, stores, the reference page and
+`table --metric` follow from it, the tables that it names, and, where it has an axis, figures and curves of reports.
 Position errors are horizontal, absolute and not aligned. Source: paper, section V.
 """
 
@@ -107,7 +107,8 @@ class Scored:
 @dataclass(frozen=True)
 class Metric:
     """A metric: its key in rows, unit, heading of a column, digits in tables, meaning, and how it is computed; None: of
-    several rows, or measured while the estimator runs. `axis`: label in figures; those without one have none."""
+    several rows, or measured while the estimator runs. `axis`: label in figures; those without one have none. `tables`
+    show it without being asked: `trial` and `trials` of `run`, `summary` of `table`, `suite`, `report`."""
 
     key: str
     unit: str
@@ -116,6 +117,7 @@ class Metric:
     meaning: str
     of: Callable[[Scored], float | None] | None = None
     axis: str = ""
+    tables: str = ""
 
     @property
     def titled(self) -> str:
@@ -130,20 +132,22 @@ class Metric:
 
 METRICS = (
     Metric("position_rmse_m", "m", "RMSE", 2, "root mean square of the horizontal position error, not aligned",
-           lambda s: _rms(s.errors.position), "position RMSE"),
+           lambda s: _rms(s.errors.position), "position RMSE", tables="trial trials summary suite report"),
     Metric("position_max_m", "m", "max", 2, "largest position error",
-           lambda s: _over(np.max, s.errors.position), "largest position error"),
+           lambda s: _over(np.max, s.errors.position), "largest position error", tables="trial trials summary suite"),
     Metric("position_end_m", "m", "end", 2, "position error at the end",
-           lambda s: _over(lambda e: e[-1], s.errors.position), "position error at the end"),
+           lambda s: _over(lambda e: e[-1], s.errors.position), "position error at the end",
+           tables="trial summary suite"),
     Metric("heading_rmse_rad", "rad", "heading", 4, "heading error, root mean square",
-           lambda s: _rms(s.errors.heading), "heading RMSE"),
+           lambda s: _rms(s.errors.heading), "heading RMSE", tables="trials suite report"),
     Metric("clock_offset_rmse_m", "m", "offset", 2, "error of the sites' clock offsets at the end, root mean square",
-           lambda s: _rms(s.clock_offset_m), "clock offset error at the end"),
+           lambda s: _rms(s.clock_offset_m), "clock offset error at the end",
+           tables="trial trials summary suite report"),
     Metric("transmitter_rmse_m", "m", "sites", 2, "error of the sites' positions at the end, root mean square",
            lambda s: _rms(s.transmitter_m)),
     Metric("map_gospa_m", "m", "GOSPA", 2,
            "map of virtual transmitters: GOSPA, mean over links, which also counts what is missed and what is false",
-           lambda s: s.map_gospa_m, "map GOSPA"),
+           lambda s: s.map_gospa_m, "map GOSPA", tables="trials suite report"),
     Metric("wall_gospa_m", "m", "walls", 2, "walls, of estimators that report walls: GOSPA of their visible parts",
            lambda s: s.walls.get("wall_gospa_m")),
     Metric("wall_share", "", "mapped", 2, "share of the seen facades' length that is mapped",
@@ -153,39 +157,50 @@ METRICS = (
     Metric("wall_offset_rmse_m", "m", "wall offsets", 2, "by how much walls are off across them, root mean square",
            lambda s: s.walls.get("wall_offset_rmse_m")),
     Metric("association_precision", "", "precision", 2, "share of associations that are right",
-           lambda s: s.associated[0]),
+           lambda s: s.associated[0], tables="trial trials suite"),
     Metric("association_recall", "", "recall", 2, "share of measurements of a VT that were associated rightly",
-           lambda s: s.associated[1]),
+           lambda s: s.associated[1], tables="trial trials suite"),
     Metric("nees_mean", "", "NEES", 2,
            "mean normalised estimation error squared of the position: 2 where the claimed covariance is right",
-           lambda s: _over(np.mean, s.errors.squared[np.isfinite(s.errors.squared)]), "mean NEES (2 is right)"),
+           lambda s: _over(np.mean, s.errors.squared[np.isfinite(s.errors.squared)]), "mean NEES (2 is right)",
+           tables="trials suite report"),
     Metric("bound_position_rmse_m", "m", "bound", 2,
            "Cramér-Rao bound of the position RMSE: the least error that a filter can have on average on this drive, "
-           "errors that persist included", lambda s: None if s.bound is None else s.bound.position_rmse_m),
+           "errors that persist included", lambda s: None if s.bound is None else s.bound.position_rmse_m,
+           tables="suite report"),
     Metric("bound_merged_m", "m", "bound, merging in", 2,
            "the same with what merging does as one more error that persists; given where more than 5 % of the "
            "measurements are merged", lambda s: None if s.bound is None else s.bound.merged_m),
 )  # fmt: skip
 # What the estimator took, which varies from run to run; all else of a row is the same for a seed.
 COSTS = (
-    Metric("estimate_seconds", "s", "time a drive", 2, "time of the estimator's code", axis="time of the estimator"),
-    Metric("realtime_factor", "time", "x real", 1, "duration of the drive over time of the estimator"),
-    Metric("peak_memory_mb", "MB", "memory", 1, "the most that the estimator made resident memory grow by"),
-)
+    Metric("estimate_seconds", "s", "time a drive", 2, "time of the estimator's code", axis="time of the estimator",
+           tables="suite"),
+    Metric("realtime_factor", "time", "x real", 1, "duration of the drive over time of the estimator",
+           tables="trial trials summary suite report"),
+    Metric("peak_memory_mb", "MB", "memory", 1, "the most that the estimator made resident memory grow by",
+           tables="suite report"),
+)  # fmt: skip
 # Of a group of rows.
 RATIOS = (
     Metric("efficiency_ratio", "", "efficiency ratio", 2,
-           "root mean square of the RMSE over that of the bound, 1 at best"),
+           "root mean square of the RMSE over that of the bound, 1 at best", tables="trials summary suite report"),
     Metric("efficiency_ratio_merged", "", "merging counted in", 2,
-           "the same, of the bound with merging as an error that persists"),
+           "the same, of the bound with merging as an error that persists", tables="trials suite"),
 )  # fmt: skip
 METRIC_KEYS, COST_KEYS = tuple(m.key for m in METRICS), tuple(m.key for m in COSTS)
-METRIC = {metric.key: metric for metric in (*METRICS, *COSTS, *RATIOS)}
+# In the order of columns: the ratio stands beside the error that it is of.
+METRIC = {metric.key: metric for metric in (METRICS[0], *RATIOS, *METRICS[1:], *COSTS)}
 # Keys of one row of results, in the order in which they are written; a value that does not apply is null.
 ROW_KEYS = (
     "scenario", "estimator", "trial", "seed", "status", "error", "snapshots", "duration_s", "distance_m",
     *METRIC_KEYS, *COST_KEYS,
 )  # fmt: skip
+
+
+def shown_in(table: str) -> tuple[str, ...]:
+    """Return the keys of the metrics that a table shows without being asked."""
+    return tuple(key for key, metric in METRIC.items() if table in metric.tables.split())
 
 
 def score(recording: Recording, result: TrialResult, bound: BoundResult | None) -> dict[str, float | None]:

@@ -1,1 +1,1 @@
-"""Tables: rows summed up, as text, Markdown, LaTeX, CSV and JSON."""
+"""Tables: rows summed up (`summaries`), as text, Markdown, LaTeX, CSV and JSON (`formats`)."""

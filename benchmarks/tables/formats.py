@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from cellslam.benchmarks.scores.metrics import METRIC
-from cellslam.benchmarks.tables.summaries import CONFIDENCE, estimate, plain
+from cellslam.benchmarks.scores.metrics import METRIC, shown_in
+from cellslam.benchmarks.tables.summaries import BOUNDED, CONFIDENCE, RATIOS, estimate, plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,6 +51,17 @@ class Column:
         """The name with its unit, and with the confidence of the interval."""
         text = replace(METRIC[self.metric], heading=self.name).titled
         return f"{text} [{100 * CONFIDENCE:g} %]" if self.interval else text
+
+
+def columns_of(table: str, with_interval: Collection[str]) -> list[Column]:
+    """Return the columns of a table of several trials, those of metrics in `with_interval` with their interval.
+
+    They are medians, but for memory, of which the largest counts; the RMSE has its 90 % quantile beside it.
+    """
+    keys = shown_in(table)
+    columns = [Column(key, "max" if key == "peak_memory_mb" else "median", key in with_interval) for key in keys]
+    beside = sum(key in (BOUNDED, *RATIOS) for key in keys)
+    return [*columns[:beside], Column(BOUNDED, "q90", table == "report"), *columns[beside:]]
 
 
 def cell(rows: pd.DataFrame, column: Column) -> str:

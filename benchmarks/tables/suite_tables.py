@@ -8,26 +8,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cellslam.benchmarks.scores.metrics import COST_KEYS
 from cellslam.benchmarks.scores.statistics import efficiency_ratio
 from cellslam.benchmarks.scores.verdicts import Verdict
-from cellslam.benchmarks.tables.formats import Column, Grid, bracketed, cell, markdown, number
+from cellslam.benchmarks.tables.formats import Column, Grid, bracketed, cell, columns_of, markdown, number
 from cellslam.benchmarks.tables.rankings import ALL, map_builders, told_apart, verdict_table, verdicts
 from cellslam.benchmarks.tables.suite_rows import SuiteRows
-from cellslam.benchmarks.tables.summaries import CONFIDENCE, EFFICIENCY, MERGED, RATIO_OF
+from cellslam.benchmarks.tables.summaries import BOUNDED, CONFIDENCE, EFFICIENCY, MERGED, RATIO_OF, RATIOS
 from cellslam.scenarios.suites import Suite, superseded_by
 
 if TYPE_CHECKING:
     import pandas as pd
 
-COLUMNS = (
-    Column("position_rmse_m", interval=True),
-    Column(EFFICIENCY, interval=True),
-    Column(MERGED, interval=True),  # where a drive has that bound
-    Column("position_rmse_m", "q90"),
-    *map(Column, ("position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m", "map_gospa_m")),
-    *map(Column, ("association_precision", "association_recall", "nees_mean", "bound_position_rmse_m")),
-)
-COSTS = (Column("estimate_seconds"), Column("realtime_factor"), Column("peak_memory_mb", "max"))
+COLUMNS = columns_of("suite", (BOUNDED, *RATIOS))
+COSTS = [column for column in COLUMNS if column.metric in COST_KEYS]
 RULES = """\
 Position errors are horizontal, absolute, not aligned. Efficiency ratio: root mean square of the RMSE over that of the
 bound, 1 at best, its 95 % interval by resampling trials; merging counted in: over that of the bound with merging as
@@ -121,7 +115,7 @@ def standings(some: SuiteRows, judged: dict[str, Verdict], made_with: dict[str, 
 def _scenario(
     name: str, rows: pd.DataFrame, oracles: Collection[str], judged: Verdict | None, power: Verdict | None
 ) -> str:
-    columns = [c for c in (*COLUMNS, *COSTS) if c.metric != MERGED or rows["bound_merged_m"].notna().any()]
+    columns = [c for c in COLUMNS if c.metric != MERGED or rows["bound_merged_m"].notna().any()]
     lines = []
     for estimator, own in rows.groupby("estimator", sort=False):
         fine = own[own["status"] == "ok"]

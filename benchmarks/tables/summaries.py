@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.scores.metrics import METRIC
+from cellslam.benchmarks.scores.metrics import METRIC, shown_in
 from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, paired, statistic
 from cellslam.benchmarks.sweeps.rows import results, varying_keys
 from cellslam.sim.errors import InputError, unknown_name
@@ -23,14 +23,6 @@ CONFIDENCE = 0.95
 BOUND, BOUNDED = "bound", "position_rmse_m"  # the line of the bound, and the metric that it bounds
 RATIO_OF = (BOUNDED, "bound_position_rmse_m", "bound_merged_m")
 _DRIVE = ("world", "seed", "trial")
-USUAL_METRICS = (
-    "position_rmse_m",
-    EFFICIENCY,
-    "position_max_m",
-    "position_end_m",
-    "clock_offset_rmse_m",
-    "realtime_factor",
-)
 
 
 @dataclass(frozen=True)
@@ -155,7 +147,7 @@ def metrics_of(layout: Layout) -> list[str]:
     for name in layout.metrics:
         if name not in METRIC:
             raise unknown_name("metric", name, METRIC)
-    return list(layout.metrics or (USUAL_METRICS[:1] if layout.columns else USUAL_METRICS))
+    return list(layout.metrics or ((BOUNDED,) if layout.columns else shown_in("summary")))
 
 
 def check_confidence(confidence: float | None) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.scores.metrics import METRIC
+from cellslam.benchmarks.scores.metrics import METRIC, shown_in
 from cellslam.benchmarks.tables.formats import Column, cell
 from cellslam.benchmarks.tables.summaries import BOUND, EFFICIENCY, MERGED
 
@@ -20,20 +20,13 @@ if TYPE_CHECKING:
 LONGEST_NAME = len("oracle-association")
 LOST_M = 2.0
 LOST, OK = "lost", "trials ok"  # keys of columns that count
-# Columns of one trial, for 80 characters, and of several.
-ONE = (
-    "position_rmse_m", "position_max_m", "position_end_m", "clock_offset_rmse_m", "association_precision",
-    "association_recall", "realtime_factor",
-)  # fmt: skip
-SEVERAL = (
-    "position_rmse_m", "position_max_m", "heading_rmse_rad", "clock_offset_rmse_m", "nees_mean", "map_gospa_m",
-    "association_precision", "association_recall", "realtime_factor", EFFICIENCY, MERGED, LOST, OK,
-)  # fmt: skip
 WITH_INTERVAL = ("position_rmse_m", EFFICIENCY, MERGED)
-FIRST_TO_GO = (
-    "association_precision", "heading_rmse_rad", "map_gospa_m", "clock_offset_rmse_m", OK, "position_max_m",
-    "association_recall", "nees_mean", MERGED,
+# In a narrow window, columns that are not among these go first, from the right, and then these, from the end.
+LAST_TO_GO = (
+    "position_rmse_m", LOST, EFFICIENCY, "realtime_factor", MERGED, "nees_mean", "association_recall",
+    "position_max_m", OK,
 )  # fmt: skip
+NEVER_GO = 4
 _LEGEND = (
     "medians over the trials that are ok, in brackets 95 % intervals; efficiency ratio: root mean square error over "
     "that of the bound, merging counted in: of the bound with merging as an error that persists; "
@@ -74,9 +67,10 @@ def results_table(
     frame = pd.DataFrame(list(rows), columns=["estimator", "status", *METRIC])
     lines = {str(name): own for name, own in frame.groupby("estimator", sort=False)}
     several = max(map(len, lines.values())) > 1
-    keys = [key for key in (SEVERAL if several else ONE) if key != MERGED or frame["bound_merged_m"].notna().any()]
+    columns = (*shown_in("trials"), LOST, OK) if several else shown_in("trial")
+    keys = [key for key in columns if key != MERGED or frame["bound_merged_m"].notna().any()]
     cells = {_heading(key): [_text(own, key, several) for own in lines.values()] for key in keys}
-    left_out = _too_many(cells, width) if several and width is not None else []
+    left_out = _too_many(cells, keys, width) if several and width is not None else []
     table = Table(
         title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, caption_justify="left",
         padding=(0, 0, 0, 1) if several else (0, 1),
@@ -108,10 +102,11 @@ def _text(own: pd.DataFrame, key: str, several: bool) -> str:
     return cell(fine, Column(key, interval=several and key in WITH_INTERVAL))
 
 
-def _too_many(cells: dict[str, list[str]], width: int) -> list[str]:
+def _too_many(cells: dict[str, list[str]], keys: list[str], width: int) -> list[str]:
     """Take columns out of `cells`, the least important first, until they fit; return their headings."""
     out = []
-    for heading in (_heading(key) for key in FIRST_TO_GO):
+    others = [key for key in reversed(keys) if key not in LAST_TO_GO]
+    for heading in (_heading(key) for key in (*others, *reversed(LAST_TO_GO[NEVER_GO:]))):
         texts = [[*key.split("\n"), *values] for key, values in cells.items()]
         if LONGEST_NAME + 2 + sum(2 + max(map(len, lines)) for lines in texts) <= width:
             break

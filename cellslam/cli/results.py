@@ -117,7 +117,8 @@ class Results:
         self._write_summary()
         for outcome in trial.outcomes:
             of = f"trial {trial.number}, {outcome.row['estimator']}"
-            self.note(f"{of} failed: {outcome.row['error']}" if outcome.row["status"] == "failed" else "")
+            if outcome.row["status"] == "failed":
+                sys.stderr.write(f"{of} failed: {outcome.row['error']}\n")
             for remark in outcome.result.remarks if outcome.result is not None else ():
                 self.note(f"{of}: {remark}")
         for problem in save(self.arguments, self.requests, trial):

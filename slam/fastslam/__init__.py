@@ -1,1 +1,1 @@
-"""FastSLAM: `fastslam`, and the filter as the paper prints it: `paper_fastslam`."""
+"""FastSLAM: `fastslam` has its equations, `parts` what can be replaced; `paper_fastslam` is the filter of the paper."""

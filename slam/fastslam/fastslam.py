@@ -82,7 +82,7 @@ from cellslam.slam.fastslam.parts import (
 from cellslam.slam.fastslam.relocation import PLANE, components_of_pose, log_likelihood
 from cellslam.slam.joint.ekf_slam import JointFilter
 from cellslam.slam.joint.mixture import Mixture
-from cellslam.slam.joint.snapshot.association_kernel import FRESH, TAKEN
+from cellslam.slam.joint.snapshot.association_kernel import FRESH, NO_BIRTH
 from cellslam.slam.joint.snapshot.motion_kernel import NOTHING_DRAWN, Interval
 from cellslam.slam.joint.snapshot.snapshot_kernel import Room
 from cellslam.slam.joint.state.layout import (
@@ -199,7 +199,7 @@ class FastSlam(JointFilter):
         self, f: Filter, b: Block, errors: ArrayErrors, interval: Interval, measured: Measured
     ) -> list[Ints]:
         """Move a group, and return hypotheses of which VT each measurement is of: its slot (m,), FRESH for a new one,
-        TAKEN for none; the likeliest first."""
+        NO_BIRTH for none; the likeliest first."""
         m, V, room = len(measured.z), len(f.vts.slots), self._room_for(f, measured)
         scores = Scores(np.zeros(1, np.int64), np.empty(V, np.int64), np.empty((V, m)), np.empty((V, m)))
         predict_and_score(f, errors, b, interval, measured, room, scores)
@@ -217,9 +217,9 @@ class FastSlam(JointFilter):
         return [self._slots(candidates, slot, candidate_of) for candidate_of in found]
 
     def _slots(self, candidates: Candidates, slot: Ints, candidate_of: Ints) -> Ints:
-        """Return the slot (m,) of each measurement's VT, FRESH where it begins one, TAKEN where it does not."""
+        """Return the slot (m,) of each measurement's VT, FRESH where it begins one, NO_BIRTH where it does not."""
         begins = returned("birth", self.parts.birth(candidates, candidate_of), candidate_of.shape, "b")
-        without = np.where(begins, FRESH, TAKEN)
+        without = np.where(begins, FRESH, NO_BIRTH)
         return np.where(candidate_of >= 0, slot[candidate_of], without) if len(slot) else without
 
     def _second_hypotheses(self, mixture: Mixture, paired: list[list[Ints]]) -> tuple[Ints, list[Ints]]:

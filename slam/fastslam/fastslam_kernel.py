@@ -90,8 +90,8 @@ def _score(f: Filter, a: ArrayErrors, seen: Measured, room: Room, out: Scores) -
 
 @njit(cache=True, nogil=True)
 def use(f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, association: Ints, room: Room) -> bool:
-    """Use a snapshot whose measurements are associated with the VTs `slot_of` (m,), FRESH and TAKEN among them; write
-    their identities into `association` (m,); return whether the block is full."""
+    """Use a snapshot whose measurements are associated with the VTs `slot_of` (m,), FRESH and NO_BIRTH among them;
+    write their identities into `association` (m,); return whether the block is full."""
     w = room.pairs
     put(w.slot_of, slot_of)
     count_odds(f, b, seen, w)
@@ -111,7 +111,7 @@ def innovate(f: Filter, a: ArrayErrors, b: Block, seen: Measured, room: Room) ->
 def end_block(
     f: Filter, a: ArrayErrors, b: Block, before: Floats, noise: Floats, seen: Measured, drawn: Ints, room: Room
 ) -> float:
-    """End a block whose update began in the mean `before` (N,): take the rows of room.pending off the covariance, and
+    """End a block whose update began in the mean `before` (n,): take the rows of room.pending off the covariance, and
     do what the joint filter does then; return what that adds to the group's log-weight.
 
     drawn (6,): places of the noise that was drawn, -1 for none; a new block begins, in which it is zero so far.

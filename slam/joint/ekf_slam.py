@@ -6,15 +6,15 @@ State
     of each VT range, azimuth, elevation about the pose of its birth, and its diffuse errors   state/layout.py: Core,
     Filter (`x`, `p`), Vts, FieldWeights; what enters and leaves: state/states_kernel.py
 
-Recursion, for odometry u over dt with white noise of density q, and measurements z = h(x) + v, v ~ N(0, Q)
+Recursion, for odometry u over dt with white noise of density q, and measurements z = h(x) + v, v ~ N(0, R)
     predict     pose <- pose + (u - b) / (1 + s) dt in the frame of the middle heading
                                                                           snapshot/motion_kernel.py: move
-                P <- F P F^T + L diag(q^2 / dt) L^T                       _spread; clock offsets: _drift
-    pair        e = z - h(x),  S = H P H^T + Q,  score log N(e; 0, S) p / ((1 - p) clutter),  p: of being detected
+                P <- F P F^T + Q,  Q = B diag(q^2 / dt) B^T               _spread; clock offsets: _drift
+    pair        e = z - h(x),  S = H P H^T + R,  score log N(e; 0, S) p / ((1 - p) clutter),  p: of being detected
                 the best sum of scores of one-to-one pairs                snapshot/association_kernel.py: associate
                 in place of it: marginals of all associations (BP-SLAM)   snapshot/association_kernel.py: believe
     average     e of each VT over a block of at most 0.6 s                snapshot/snapshot_kernel.py: take_in
-    update      S = R R^T,  G = R^-1 H P,  x <- x + G^T R^-1 e,  P <- P - G^T G
+    update      S = L L^T,  G = L^-1 H P,  x <- x + G^T L^-1 e,  P <- P - G^T G
                                                                           snapshot/update_kernel.py: correct, add_up
     carry over  P to the new estimate, in directions that nothing measured shows
                                                                           snapshot/gauge_kernel.py: carry_over

@@ -117,7 +117,7 @@ class Start:
         return x, p, weight / weight.sum()
 
     def agrees(self, state: Floats) -> bool:
-        """Return whether place and yaw of a state (N,), in m and rad, may be those of one mixture or another."""
+        """Return whether place and yaw of a state (n,), in m and rad, may be those of one mixture or another."""
         x, p, weight = self._weighted(*self.moments())
         (mean, covariance), at = mixture_moments(weight, x, p), [0, 1, 3]
         apart = state[at] - mean[at]

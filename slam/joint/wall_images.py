@@ -158,7 +158,7 @@ def impose(f: Filter, measure: Callable[[Filter], Gap], spread: Floats) -> None:
 
 
 def _gains(f: Filter, gap: Gap, spread: Floats) -> tuple[Any, Any]:
-    """Return the root (2, 2) of the gap's covariance, and what it says of the states, whitened by that (2, N)."""
+    """Return the root (2, 2) of the gap's covariance, and what it says of the states, whitened by that (2, n)."""
     hp = gap.by @ f.p[gap.at, : f.size[0]]
     root = np.linalg.cholesky(hp[:, gap.at] @ gap.by.T + spread)
     return root, np.linalg.solve(root, hp)

@@ -6,8 +6,8 @@ most paths six times; the mean of the six is one fused measurement. Clutter of o
 that the number of links that agree tells paths from clutter.
 
 Sources: Bar-Shalom and Li, "Multitarget-multisensor tracking", 1995 (normalised distance, nearest neighbour), and the
-variance of a weighted mean; white noise: paper, eq. 34, corrected to Q = Q_floor + Q_0 / lambda: a higher SNR lambda
-means a smaller variance.
+variance of a weighted mean; white noise: paper, eq. 34 (its Q is R here), corrected to R = R_floor + R_0 / lambda: a
+higher SNR lambda means a smaller variance.
 """
 
 from __future__ import annotations

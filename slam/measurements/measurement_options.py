@@ -2,8 +2,8 @@
 
 Errors of a measurement, cause by cause, as `sim.lte` makes them:
 
-    white         Q = Q_floor + Q_0 / lambda, lambda the linear SNR (paper, section IV, corrected: more SNR,
-                  less variance)
+    white         R = R_floor + R_0 / lambda, lambda the linear SNR (paper, section IV, where it is Q; corrected: more
+                  SNR, less variance)
     diffuse, sway   diffuse energy: changes over a fraction of a metre, the same for the links of one port of a site;
                   the array's sway: over a fraction of a second, the same for all paths
     calibration, roof   functions of the direction of arrival in the body frame: alike for all paths from about one

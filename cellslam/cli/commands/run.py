@@ -68,7 +68,7 @@ def command(arguments: Namespace) -> int:
         results.open_store = lambda: _open_store(results, scenario, stack)
         interrupted = results.work_off(simulated_trials(scenario, requests, trials, seed, external, progress), progress)
     status = results.report(interrupted)
-    if not interrupted:
+    if not interrupted and any(row["status"] == "ok" for row in results.rows):
         results.note(worth_trying(results))
     return status
 

@@ -50,7 +50,7 @@ from cellslam.slam.model.measurement_kernel import Rotations
 NEARBY_M = 50.0  # walls next to each other make VTs that are so far apart, if they are two
 ROUNDS, CLOSE = 200, 1e-7  # of message passing, at most, and logarithms by which messages may still change
 SURE = 1.0 - 1e-9  # most that existence can be
-FRESH, TAKEN = -1, -2  # measurements that may begin a VT, and those that nothing is to be made of
+FRESH, NO_BIRTH = -1, -2  # measurements of no VT: those that may begin one, and those that may not
 
 
 class Messages(NamedTuple):
@@ -251,8 +251,8 @@ def _claims_on(xi: float, zeta: Floats, rows: int) -> float:
 
 @lean
 def believe(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> None:
-    """Write into w.slot_of (m,) the VT that more likely than not made each measurement of a link, FRESH or TAKEN, and
-    into w.exists (m,) how likely a new VT is that it began; VTs' existence is predicted and updated.
+    """Write into w.slot_of (m,) the VT that more likely than not made each measurement of a link, FRESH or NO_BIRTH,
+    and into w.exists (m,) how likely a new VT is that it began; VTs' existence is predicted and updated.
 
     Existence is a Markov chain of visible and hidden; only what was confirmed comes back (paper: survival probability).
     With r the probability that a VT exists and p_D that of its detection, a missed one exists with
@@ -273,7 +273,7 @@ def believe(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: P
     pass_messages(m, rows, columns)
     for c in range(columns):
         w.exists[start + c] = m.xi[c] / _claims_on(m.xi[c], m.zeta[:, c], rows)
-        w.slot_of[start + c] = FRESH if w.exists[start + c] >= rules.drop else TAKEN
+        w.slot_of[start + c] = FRESH if w.exists[start + c] >= rules.drop else NO_BIRTH
     for r in range(rows):
         detected, j = 0.0, w.chosen[r]
         for c in range(columns):

@@ -101,7 +101,7 @@ def give_birth(
 
     z, q (3,): the measurement in m and rad, and its variances; ranged: the distance was measured, with the clock offset
     in it; diffuse: share of the diffuse errors in it. With D the Jacobian by the VT and H that by all other states, the
-    VT is D^-1 (z - H x): its covariance D^-1 (H P H^T + Q) D^-T, that with the others -D^-1 H P.
+    VT is D^-1 (z - H x): its covariance D^-1 (H P H^T + R) D^-T, that with the others -D^-1 H P.
     """
     first = f.size[0]
     if first + 3 > len(f.x):

@@ -28,9 +28,9 @@ from cellslam.slam.model.measurement_kernel import direction, spherical_jacobian
 
 @njit(cache=True, _nrt=False)  # WALL-SLAM's, too
 def carry_over(f: Filter, before: Floats, by: Floats) -> None:
-    """Carry the covariance over from the state `before` (N,) to the present one.
+    """Carry the covariance over from the state `before` (n,) to the present one.
 
-    by (4, N), written: what a unit of error of x, y, z (m) and yaw (rad) adds to the error of each state.
+    by (4, n), written: what a unit of error of x, y, z (m) and yaw (rad) adds to the error of each state.
     """
     x, n = f.x, f.size[0]
     by[:4, :n] = 0.0

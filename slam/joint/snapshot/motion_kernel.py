@@ -32,7 +32,7 @@ class Interval(NamedTuple):
 
 class Step(NamedTuple):
     """Room for one step: `by` (6, core + 6): d(next pose)/d(core), and behind it d(next pose)/d(velocity); `rows`
-    (6, N)."""
+    (6, n)."""
 
     by: Floats
     rows: Floats

@@ -17,7 +17,7 @@ import numpy as np
 from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.joint.snapshot.association_kernel import FRESH, TAKEN, Messages, Pairs, associate, believe
+from cellslam.slam.joint.snapshot.association_kernel import FRESH, NO_BIRTH, Messages, Pairs, associate, believe
 from cellslam.slam.joint.snapshot.birth_kernel import begin, clear, correct_guesses, possible, tidy
 from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
 from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, forget, move
@@ -94,11 +94,11 @@ def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
 
 @lean
 def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> None:
-    """Write into w.slot_of (m,) the VT of each measurement: FRESH for what may begin one, TAKEN for what may not."""
+    """Write into w.slot_of (m,) the VT of each measurement: FRESH for what may begin one, NO_BIRTH for what may not."""
     for link in range(len(seen.first) - 1):
         start, stop = seen.first[link], seen.first[link + 1]
         if f.links[link] == 0:
-            w.slot_of[start:stop] = TAKEN
+            w.slot_of[start:stop] = NO_BIRTH
         elif seen.rules.association.mode == KNOWN_ASSOCIATION:
             for k in range(start, stop):
                 w.slot_of[k] = FRESH
@@ -111,7 +111,7 @@ def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> None:
             associate(f, a, seen, link, s, w)
             for k in range(start, stop):
                 row = w.row_of[k - start]
-                w.slot_of[k] = w.chosen[row] if row >= 0 else (TAKEN if w.gated[k - start] == 1 else FRESH)
+                w.slot_of[k] = w.chosen[row] if row >= 0 else (NO_BIRTH if w.gated[k - start] == 1 else FRESH)
 
 
 @lean
@@ -293,7 +293,7 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sigh
 
 @part
 def end_update(f: Filter, a: ArrayErrors, b: Block, before: Floats, noise: Floats, seen: Measured, p: Pending) -> float:
-    """End the update that began in the state `before` (N,): clocks step, what persists is counted, VTs are dropped;
+    """End the update that began in the state `before` (n,): clocks step, what persists is counted, VTs are dropped;
     return the log-likelihood of all but VTs.
 
     noise (6,): densities of the odometry's.

@@ -9,7 +9,7 @@ probability that another path has merged with its own, that of a hidden Markov c
 count for less by it: `expect_merging`, `allow_for_merging`.
 
 Sources: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.2,
-with S = R R^T and gains whitened by R; section 11.6 for modes that switch; that one update with the mean information of
+with S = L L^T and gains whitened by L; section 11.6 for modes that switch; that one update with the mean information of
 both modes will do is an approximation of our own.
 """
 
@@ -52,7 +52,7 @@ UNRESOLVED = (9.2, 0.27, 0.28)  # so near, in m and rad: what an LTE front end w
 
 class Steps(NamedTuple):
     """What a block says of steps of the S clocks, and of a shift of the vehicle along its path, at its begin: of a unit
-    step, what is `left` (S + 1, N) to be corrected in each state; `score` (S + 1,), the slope of the log-likelihood by
+    step, what is `left` (S + 1, n) to be corrected in each state; `score` (S + 1,), the slope of the log-likelihood by
     the step, 1/m, and its `information` (S + 1,), 1/m^2. Rows `used` (1,): none where no clock may step."""
 
     used: Ints
@@ -62,9 +62,9 @@ class Steps(NamedTuple):
 
 
 class Pending(NamedTuple):
-    """What updates have taken off the covariance: `rows` (K, N), of which `used` (1,), and `added` (N,) to the mean;
-    `t` (3, N): H P of a measurement; what the measurements say of `steps`; and, where there are particles, the
-    innovations that the rows go with, `whitened` (K, C) of each particle and `whitened_mean` (K,)."""
+    """What updates have taken off the covariance: `rows`, G (k, n), of which `used` (1,), and `added` (n,) to the mean;
+    `t` (3, n): H P of a measurement; what the measurements say of `steps`; and, where there are particles, the
+    innovations that the rows go with, `whitened` (k, N) of each particle and `whitened_mean` (k,)."""
 
     rows: Floats
     used: Ints
@@ -79,7 +79,7 @@ class BlockMeasurement(NamedTuple):
     """A measurement, or the mean of several: `z`, `q` (3,): distance, azimuth, elevation in m and rad, NaN where not
     measured, and their variances, `white` (3,) but for what merged paths do; seen from the `pose` (6,), which is
     `place` (m) and the rotation `turned`, by each particle from a pose that differs from this one by `deviation`
-    (6, C); `diffuse`, `turn`: what is left in it of the deviation of these errors; `now`: snapshot."""
+    (6, N); `diffuse`, `turn`: what is left in it of the deviation of these errors; `now`: snapshot."""
 
     z: Floats
     q: Floats
@@ -94,7 +94,7 @@ class BlockMeasurement(NamedTuple):
 
 
 class Innovation(NamedTuple):
-    """Innovation `e` = z - h(x), its covariance `s` = H P H^T + Q, and how many components were measured: a missing one
+    """Innovation `e` = z - h(x), its covariance `s` = H P H^T + R, and how many components were measured: a missing one
     is 0 in e, and in s as if it were independent, of variance 1."""
 
     e: Vec3
@@ -147,7 +147,7 @@ def covariance(f: Filter, s: Sight) -> Sym3:
 
 @lean
 def gains(f: Filter, s: Sight, w: Pending) -> Sym3:
-    """Write T = H P (3, N) into w.t, less what the pending rows G have taken off: T - (H G^T) G; return T H^T."""
+    """Write T = H P (3, n) into w.t, less what the pending rows G have taken off: T - (H G^T) G; return T H^T."""
     n, t0, t1, t2 = f.size[0], w.t[0], w.t[1], w.t[2]
     t0[:n] = 0.0
     t1[:n] = 0.0
@@ -182,7 +182,7 @@ def gains(f: Filter, s: Sight, w: Pending) -> Sym3:
 
 @lean
 def times(s: Sight, column: Floats) -> Vec3:
-    """Return the Jacobian s times a column (N,)."""
+    """Return the Jacobian s times a column (n,)."""
     x, y, z = 0.0, 0.0, 0.0
     for k in range(s.size[0]):
         value = column[s.at[k]]

@@ -124,17 +124,17 @@ class Learnt(NamedTuple):
 
 
 class Particles(NamedTuple):
-    """The C particles of a filter that has some (see `slam.fastslam`; C is 0 in others): x is their weighted mean and p
-    the covariance that they share; particle c has the mean x + `deviation` (N, C)[:, c] and the `weight` (C,)[c]."""
+    """The N particles of a filter that has some (see `slam.fastslam`; N is 0 in others): x is their weighted mean and p
+    the covariance that they share; particle i has the mean x + `deviation` (n, N)[:, i] and the `weight` (N,)[i]."""
 
     deviation: Floats
     weight: Floats
 
 
 class Filter(NamedTuple):
-    """One filter, with room for N states and V VTs; or a mixture of them, all arrays with a leading axis.
+    """One filter, with room for n states and V VTs; or a mixture of them, all arrays with a leading axis.
 
-    Mean `x` (N,) and covariance `p` (N, N), of which `size` (1,) are in use; `owner` (N,) of each state; `count` (1,):
+    Mean `x` (n,) and covariance `p` (n, n), of which `size` (1,) are in use; `owner` (n,) of each state; `count` (1,):
     VTs; `links` (L,): 1 where it uses a link.
     """
 
@@ -260,7 +260,7 @@ class Measured(NamedTuple):
 
 class Track(NamedTuple):
     """The snapshots of a block, up to B: `snapshots` (1,) so far; of each its `pose` (B, 6), by how much the poses of C
-    particles differ from that, `deviation` (B, 6, C), and distance (m) and time (s) from the begin `at` (B, 2); `total`
+    particles differ from that, `deviation` (B, 6, N), and distance (m) and time (s) from the begin `at` (B, 2); `total`
     (3,): distance, turn (rad), time."""
 
     snapshots: Ints
