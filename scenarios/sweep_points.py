@@ -19,7 +19,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.scenarios.estimator_options import Ask, Request, resolve
-from cellslam.scenarios.external_options import asking
+from cellslam.scenarios.external_options import LOAD_LIMIT_S, asking
 from cellslam.scenarios.keys import describe, validate
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.overrides import parse, parse_value, split
@@ -161,10 +161,11 @@ def from_tables(data: Mapping[str, Any], folder: Path = Path()) -> Sweep:
     return Sweep(scenario, config.set, tuple(_axes(config)), config.estimators, config.trials, config.seed)
 
 
-def points(sweep: Sweep, estimators: Sequence[str]) -> tuple[Point, ...]:
+def points(sweep: Sweep, estimators: Sequence[str], limit_s: float = LOAD_LIMIT_S) -> tuple[Point, ...]:
     """Return every point of a sweep, the last axis varying fastest; all values are validated.
 
-    Raises InputError for a key that is set twice, that no estimator in the sweep has, or out of range.
+    `limit_s`: of `asking`. Raises InputError for a key that is set twice, that no estimator in the sweep has, or out of
+    range.
     """
     estimators = expanded(estimators)
     _check_keys(sweep, estimators)
@@ -174,7 +175,7 @@ def points(sweep: Sweep, estimators: Sequence[str]) -> tuple[Point, ...]:
     # Points that differ in the world alone have the same requests; resolving them looks through all installed packages.
     known: dict[str, tuple[Request, ...]] = {}
     out = []
-    with asking() as ask:
+    with asking(limit_s) as ask:
         for combination in itertools.product(*_completed(sweep, estimators, ask)):
             settings = {key: value for setting in combination for key, value in setting.items()}
             overrides = {**sweep.overrides, **settings}

@@ -19,6 +19,7 @@ from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.cli.progress_bars import bars
 from cellslam.recordings.fitting.assumptions import Assumptions, assumed
 from cellslam.scenarios.estimator_options import resolve
+from cellslam.scenarios.external_options import LOAD_LIMIT_S
 from cellslam.scenarios.overrides import parse_all
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError
@@ -30,7 +31,12 @@ ALONE = "dead-reckoning"
 
 
 def assumed_by(
-    arguments: Namespace, recording: Recording, origin: Origin, names: Sequence[str], bar: Progress
+    arguments: Namespace,
+    recording: Recording,
+    origin: Origin,
+    names: Sequence[str],
+    bar: Progress,
+    limit_s: float = LOAD_LIMIT_S,
 ) -> Assumptions:
     """Return what estimators `names` assume by the arguments of a command, and where these say nothing by the
     recording (`assumed`). Raises InputError.
@@ -44,7 +50,7 @@ def assumed_by(
             "sheet, as 'noise.u_psi.noise_density'"
         )
     from_file = dict(_options_of(Path(arguments.options))) if arguments.options else {}
-    return assumed(recording, origin, names, from_file | changes, fit, bar)
+    return assumed(recording, origin, names, from_file | changes, fit, bar, limit_s)
 
 
 def estimates_by(
