@@ -22,6 +22,7 @@ from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.external_options import LOAD_LIMIT_S
 from cellslam.scenarios.overrides import parse_all
 from cellslam.scenarios.recording_origin import Origin
+from cellslam.sim.data_files import text_of, toml_of
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Recording
@@ -87,7 +88,7 @@ def doubts(recording: Recording, results: Sequence[TrialResult]) -> dict[str, li
 def _options_of(path: Path) -> Iterator[tuple[str, Any]]:
     """Yield the keys of a file of options with their values, as "estimator.NAME.option". Raises InputError."""
     try:
-        tables = tomllib.loads(path.read_text("utf-8"))
+        tables = toml_of(text_of(path))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"--options {path}: not TOML ({error}); correct it there") from error
     except OSError as error:

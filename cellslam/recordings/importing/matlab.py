@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cellslam.sim.data_files import MOST_DEFLATED
 from cellslam.sim.errors import InputError, nearest_name
 
 
@@ -68,6 +69,8 @@ def _hdf5_value(file: Any, item: Any) -> Any:
 
     if isinstance(item, h5py.Group):
         return {name: _hdf5_value(file, inner) for name, inner in item.items()}
+    if item.size * item.dtype.itemsize > MOST_DEFLATED * max(item.id.get_storage_size(), item.dtype.itemsize):
+        raise OSError(f"'{item.name}' declares {item.size} values and holds {item.id.get_storage_size()} bytes")
     kind = item.attrs.get("MATLAB_class", b"")
     kind = kind.decode() if isinstance(kind, bytes) else str(kind)
     if item.attrs.get("MATLAB_empty", 0):
