@@ -128,5 +128,5 @@ def save(figure: Figure, path: Path) -> Path:
         with suppress(OSError):
             path.unlink(missing_ok=True)
         why = error.strerror or error
-        raise InputError(f"{path}: the figure cannot be written ({why}); make room there, or give another --out") from error
+        raise InputError(f"{path}: the figure cannot be written ({why}); give another --out") from error
     return path
