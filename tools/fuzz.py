@@ -58,6 +58,7 @@ def command(arguments: Namespace) -> int:
                 counts[kind, outcome] += 1
                 if outcome == "FAILED":
                     failures.append(f"case {case}, {kind}: {said}")
+                    print(failures[-1], flush=True)
                 case += 1
                 if lost:
                     break
@@ -65,7 +66,7 @@ def command(arguments: Namespace) -> int:
             worker.join()
     for kind in sorted({kind for kind, _ in counts}):
         print(f"{kind:24}" + "".join(f"{counts[kind, o]:6d} {o}" for o in ("read", "refused", "FAILED")))
-    print("\n".join([*failures, f"{sum(counts.values())} files, {len(failures)} failures"]))
+    print(f"{sum(counts.values())} files, {len(failures)} failures")
     return FAILED if failures else DONE
 
 
