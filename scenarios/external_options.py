@@ -12,27 +12,35 @@ from multiprocessing.connection import wait
 from typing import Any
 
 from cellslam.scenarios.estimator_options import Ask, Request, Tables, loaded, resolve
+from cellslam.sim import supervisor
 from cellslam.sim.errors import InputError, one_line
 from cellslam.slam.registry import BrokenPluginError
 
 LOAD_LIMIT_S = 300.0
+END_S = 2.0  # a process that has closed its pipe has ended so soon
 
 
-def requests(tables: Tables, names: Sequence[str], overrides: Iterable[str] = ()) -> tuple[Request, ...]:
-    """Return what `estimator_options.resolve` does, without loading external estimators here."""
-    with asking() as ask:
+def requests(
+    tables: Tables, names: Sequence[str], overrides: Iterable[str] = (), limit_s: float = LOAD_LIMIT_S
+) -> tuple[Request, ...]:
+    """Return what `estimator_options.resolve` does, without loading external estimators here; `limit_s`:
+    of `asking`."""
+    with asking(limit_s) as ask:
         return resolve(tables, names, overrides, ask)
 
 
 @contextmanager
-def asking() -> Iterator[Ask]:
-    """Open a process for each module that is asked for an estimator; the value is the `ask` of `resolve`."""
+def asking(limit_s: float = LOAD_LIMIT_S) -> Iterator[Ask]:
+    """Open a process for each module that is asked for an estimator; the value is the `ask` of `resolve`.
+
+    A module may take `limit_s` to answer, and never more than `LOAD_LIMIT_S`.
+    """
     asked: dict[str, subprocess.Popen[bytes]] = {}
 
     def ask(module: str, name: str, table: Mapping[str, Any]) -> tuple[Mapping[str, Any] | None, bool]:
         if module not in asked:
             asked[module] = _process()
-        answer = _answer(asked[module], name, table)
+        answer = _answer(asked[module], name, table, min(limit_s, LOAD_LIMIT_S))
         if "wrong" in answer:
             raise InputError(answer["wrong"])
         if "broken" in answer:
@@ -43,7 +51,7 @@ def asking() -> Iterator[Ask]:
         yield ask
     finally:
         for process in asked.values():
-            process.kill()
+            supervisor.end(process)
             process.communicate()
 
 
@@ -72,26 +80,33 @@ def _said(name: str, table: Mapping[str, Any]) -> str:
 
 
 def _process() -> subprocess.Popen[bytes]:
-    code = "from cellslam.scenarios.external_options import main; main()"
+    supervised = "from cellslam.sim.supervisor import supervise; supervise(0, 1)"
+    code = f"{supervised}; from cellslam.scenarios.external_options import main; main()"
     pipe, quiet = subprocess.PIPE, subprocess.DEVNULL
     # -P: a file of the current directory must not hide a module.
-    process = subprocess.Popen([sys.executable, "-P", "-c", code], stdin=pipe, stdout=pipe, stderr=quiet)
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-c", code], stdin=pipe, stdout=pipe, stderr=quiet, start_new_session=True
+    )
     _write(process, sys.path)
     return process
 
 
-def _answer(process: subprocess.Popen[bytes], name: str, table: Mapping[str, Any]) -> dict[str, Any]:
+def _answer(process: subprocess.Popen[bytes], name: str, table: Mapping[str, Any], limit_s: float) -> dict[str, Any]:
     """Ask one question. A process that does not answer, whatever the reason, is that of a broken estimator."""
     assert process.stdout is not None
     _write(process, [name, table])
-    answered = wait([process.stdout.fileno()], LOAD_LIMIT_S)
+    answered = wait([process.stdout.fileno()], limit_s)
     try:
         answer: dict[str, Any] = json.loads(process.stdout.readline()) if answered else {}
         assert answer.keys() & {"wrong", "broken"} or answer.keys() == {"options", "oracle"}
         return answer
     except (ValueError, AttributeError, AssertionError):
-        process.kill()
-        why = f"its process ended with exit status {process.wait()}" if answered else f"no answer in {LOAD_LIMIT_S:g} s"
+        if answered:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(END_S)
+        supervisor.end(process)
+        ended = f"its process ended with exit status {process.returncode}"
+        why = ended if answered else f"no answer in {limit_s:g} s"
         return {"broken": f"estimator '{name}': its module cannot be imported: {why}"}
 
 

@@ -13,6 +13,7 @@ from cellslam.scenarios.estimator_options import option_keys, stated
 from cellslam.scenarios.keys import validate
 from cellslam.scenarios.overrides import apply
 from cellslam.scenarios.scenario import Scenario
+from cellslam.sim.data_files import text_of, toml_of
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.lte.radio_config import is_loaded
 
@@ -68,7 +69,7 @@ def _read(name_or_path: str | Path) -> tuple[str, dict[str, Any], str]:
 
 def _tables(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text("utf-8"))
+        return toml_of(text_of(path))
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such scenario file; presets are {', '.join(preset_names())}") from error
     except OSError as error:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cellslam.scenarios.keys import label
+from cellslam.sim.data_files import toml_of
 from cellslam.sim.errors import InputError, nearest_name
 
 
@@ -26,7 +27,7 @@ def parse(text: str) -> tuple[str, Any]:
 def parse_value(text: str) -> Any:
     """Return the TOML value that `text` writes, or `text` itself when it is no TOML value."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        return toml_of(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text
 

@@ -19,11 +19,12 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.scenarios.estimator_options import Ask, Request, resolve
-from cellslam.scenarios.external_options import asking
+from cellslam.scenarios.external_options import LOAD_LIMIT_S, asking
 from cellslam.scenarios.keys import describe, validate
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.overrides import parse, parse_value, split
 from cellslam.scenarios.scenario import Scenario
+from cellslam.sim.data_files import text_of, toml_of
 from cellslam.sim.errors import InputError
 from cellslam.slam.registry import expanded
 
@@ -100,7 +101,7 @@ def grid_axis(text: str) -> Axis:
     key, _ = parse(text)
     values = text.partition("=")[2].strip()
     try:
-        found = tomllib.loads(f"value = [{values}]")["value"]
+        found = toml_of(f"value = [{values}]")["value"]
     except tomllib.TOMLDecodeError:
         found = [parse_value(part.strip()) for part in values.split(",")]
     if not found or "" in found:
@@ -127,7 +128,7 @@ def is_sweep_file(path: str | Path) -> bool:
     if str(path) in preset_names() or not Path(path).is_file():
         return False
     try:
-        return "scenario" in tomllib.loads(Path(path).read_text("utf-8"))
+        return "scenario" in toml_of(text_of(path))
     except (OSError, ValueError):
         return False
 
@@ -135,10 +136,10 @@ def is_sweep_file(path: str | Path) -> bool:
 def read(path: str | Path) -> Sweep:
     """Return the sweep of a .toml file. Raises InputError with the file's name."""
     try:
-        return from_tables(tomllib.loads(Path(path).read_text("utf-8")), Path(path).parent)
+        return from_tables(toml_of(text_of(path)), Path(path).parent)
     except OSError as error:
         raise InputError(f"{path}: the sweep file cannot be read ({error.strerror})") from error
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a sweep file: {error} (TOML)") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -161,10 +162,11 @@ def from_tables(data: Mapping[str, Any], folder: Path = Path()) -> Sweep:
     return Sweep(scenario, config.set, tuple(_axes(config)), config.estimators, config.trials, config.seed)
 
 
-def points(sweep: Sweep, estimators: Sequence[str]) -> tuple[Point, ...]:
+def points(sweep: Sweep, estimators: Sequence[str], limit_s: float = LOAD_LIMIT_S) -> tuple[Point, ...]:
     """Return every point of a sweep, the last axis varying fastest; all values are validated.
 
-    Raises InputError for a key that is set twice, that no estimator in the sweep has, or out of range.
+    `limit_s`: of `asking`. Raises InputError for a key that is set twice, that no estimator in the sweep has, or out of
+    range.
     """
     estimators = expanded(estimators)
     _check_keys(sweep, estimators)
@@ -174,7 +176,7 @@ def points(sweep: Sweep, estimators: Sequence[str]) -> tuple[Point, ...]:
     # Points that differ in the world alone have the same requests; resolving them looks through all installed packages.
     known: dict[str, tuple[Request, ...]] = {}
     out = []
-    with asking() as ask:
+    with asking(limit_s) as ask:
         for combination in itertools.product(*_completed(sweep, estimators, ask)):
             settings = {key: value for setting in combination for key, value in setting.items()}
             overrides = {**sweep.overrides, **settings}

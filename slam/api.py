@@ -27,7 +27,7 @@ class Setup(Described):
     deviations (6,).
 
     `map`: of VTs, as earlier drives left it; None: none is known. `truth` is None but for an estimator that declares
-    `requires_truth`.
+    `requires_truth`, `future` but for one that declares `requires_future`: all steps of the drive that begins.
     """
 
     links: Links
@@ -37,6 +37,7 @@ class Setup(Described):
     start_std: Floats
     truth: Truth | None = None
     map: VtMap | None = None
+    future: tuple[Step, ...] | None = None
 
     @property
     def surveyed(self) -> tuple[Ints, Floats, Floats]:
@@ -72,6 +73,9 @@ class Snapshot(Described):
 
     def __len__(self) -> int:
         return len(self.link)
+
+
+Step = tuple[float, Floats, Snapshot]  # the arguments of `Estimator.step`
 
 
 @dataclass(frozen=True, repr=False)
@@ -137,6 +141,7 @@ class Estimator(Protocol):
 
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False
+    requires_future: ClassVar[bool] = False
 
     def __init__(self, options: Any) -> None: ...
 
@@ -152,7 +157,9 @@ class Estimator(Protocol):
         ...
 
 
-def setup_of(recording: Recording, with_truth: bool = False, known: VtMap | None = None) -> Setup:
+def setup_of(
+    recording: Recording, with_truth: bool = False, known: VtMap | None = None, with_future: bool = False
+) -> Setup:
     """Return copies of what an estimator may know before the drive; `known`: the map that it begins with."""
     return Setup(
         links=_frozen_copy(recording.links),
@@ -162,7 +169,14 @@ def setup_of(recording: Recording, with_truth: bool = False, known: VtMap | None
         start_std=_frozen(recording.start_std),
         truth=_frozen_copy(recording.truth) if with_truth else None,
         map=known,
+        future=tuple(steps_of(recording)) if with_future else None,
     )
+
+
+def steps_of(recording: Recording) -> list[Step]:
+    """Return what `step` is called with, of every snapshot of a recording."""
+    dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
+    return list(zip(dt_s.tolist(), odometry_of(recording), snapshots_of(recording), strict=True))
 
 
 def odometry_of(recording: Recording) -> Floats:

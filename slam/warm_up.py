@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.sim.recording import Links, Measurements, OdometryModel, Recording, Sites, Truth, VirtualTransmitters
-from cellslam.slam.api import Setup, odometry_of, setup_of, snapshots_of
+from cellslam.slam.api import Setup, setup_of, steps_of
 
 SNAPSHOTS = 4
 _PATHS = ([600.0, 605.0, 700.0], [0.1, 1.2, 0.5], [0.1, 0.0, 0.1], [10.0, 10.0, 10.0])
@@ -19,10 +19,10 @@ def drive(estimator: Any) -> Setup:
     All is as a recording gives it: compiled code is for the types of arrays, whether they can be written included.
     """
     recording = made_up()
-    setup, odometry = setup_of(recording, estimator.requires_truth), odometry_of(recording)
+    setup = setup_of(recording, estimator.requires_truth)
     estimator.start(setup, np.random.default_rng(0))
-    for t, snapshot in enumerate(snapshots_of(recording)):
-        estimator.step(0.0 if t == 0 else 0.1, odometry[t], snapshot)
+    for step in steps_of(recording):
+        estimator.step(*step)
     return setup
 
 

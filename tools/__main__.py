@@ -17,6 +17,7 @@ TOOLS = {
     "fastslam": "what FastSLAM costs by particles, states and groups, beside its ratio to the bound",
     "preset-facts": "what a preset gives, measured with the ray tracer, into its file",
     "supported": "run the tests with each Python, and with the lowest and the newest dependencies",
+    "fuzz": "read damaged files of every kind",
     "lines": "count lines of code, room by room",
 }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -14,6 +14,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.path import Path as Outline
 
+from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 
 Drawing = Callable[[Figure], bool]  # False: the figure does not apply, and nothing was drawn
@@ -116,7 +117,16 @@ def write_all(
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a figure without date and software name (same figure, same file) and return its path."""
+    """Write a figure without date and software name (same figure, same file) and return its path.
+
+    Raises InputError, and leaves no half of it, where the disk refuses.
+    """
     metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None}}.get(path.suffix[1:])
-    figure.savefig(path, metadata=metadata)
+    try:
+        figure.savefig(path, metadata=metadata)
+    except OSError as error:
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+        why = error.strerror or error
+        raise InputError(f"{path}: the figure cannot be written ({why}); give another --out") from error
     return path

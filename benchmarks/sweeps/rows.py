@@ -12,7 +12,7 @@ from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.sweeps.store import reading, stored_columns
 from cellslam.scenarios.keys import label, nearest_key
 from cellslam.scenarios.scenario import MapConfig
-from cellslam.sim.errors import InputError
+from cellslam.sim.errors import InputError, one_line
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -78,17 +78,21 @@ def provenance(folder: Path) -> list[dict[str, Any]]:
 
 def _settings(database: Connection) -> tuple[list[tuple[str, str, str]], dict[str, list[Any]]]:
     """Return each (estimator, world, options) of the rows, and the value of every scenario key and option for each."""
-    worlds = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM worlds")}
-    for world in worlds.values():
-        world["map"] = dict(MapConfig()) | world.get("map", {})  # a world says nothing of a map or of one car
-        world["scenario"] = world.pop("name")
-    flat_worlds = {i: dict(flat(world)) for i, world in worlds.items()}
-    options = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM options")}
     pairs = database.execute("SELECT DISTINCT estimator, world, options FROM rows").fetchall()
-    settings = [
-        flat_worlds[world] | dict(flat(options[option] or {}, f"estimator.{estimator}."))
-        for estimator, world, option in pairs
-    ]
+    try:
+        worlds = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM worlds")}
+        for world in worlds.values():
+            world["map"] = dict(MapConfig()) | world.get("map", {})  # a world says nothing of a map or of one car
+            world["scenario"] = world.pop("name")
+        flat_worlds = {i: dict(flat(world)) for i, world in worlds.items()}
+        options = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM options")}
+        settings = [
+            flat_worlds[world] | dict(flat(options[option] or {}, f"estimator.{estimator}."))
+            for estimator, world, option in pairs
+        ]
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        what = one_line(f"{type(error).__name__}: {error}", 160)
+        raise InputError(f"the results are damaged: what they were made from cannot be read ({what})") from error
     known = dict.fromkeys(key for setting in settings for key in setting)
     return pairs, {key: [_scalar(setting.get(key)) for setting in settings] for key in known}
 

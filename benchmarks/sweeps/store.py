@@ -270,7 +270,8 @@ def _check_version(folder: Path, database: sqlite3.Connection) -> None:
     found = database.execute("PRAGMA user_version").fetchone()[0]
     if found != SCHEMA:
         raise InputError(
-            f"{folder / DATABASE}: made by another version of cellslam (schema {found}, expected {SCHEMA})"
+            f"{folder / DATABASE}: made by another version of cellslam (schema {found}, expected {SCHEMA}); that one "
+            f"still reads it ('cellslam table {folder} --format csv'), as SQLite does; sweep again into another --out"
         )
 
 
@@ -299,6 +300,11 @@ def _explained(folder: Path, verb: str = "written") -> Iterator[None]:
     except OSError as error:
         raise InputError(f"{folder}: results cannot be {verb} ({error.strerror or error}); {_KEPT}") from error
     except sqlite3.DatabaseError as error:
+        if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+            raise InputError(
+                f"{folder / DATABASE}: damaged ({error}): 'sqlite3 {folder / DATABASE} .recover' may save rows of it; "
+                "copy the folder again, or give another --out"
+            ) from error
         raise InputError(f"{folder / DATABASE}: results cannot be {verb} ({error}); {_KEPT}") from error
 
 

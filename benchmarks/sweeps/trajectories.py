@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 
 from cellslam.benchmarks.scores.map_scores import vt_nees
 from cellslam.benchmarks.scores.metrics import horizontal_error, nees
+from cellslam.sim.data_files import arrays_of
 from cellslam.sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -83,9 +82,9 @@ def pack(kept: Trajectory) -> bytes:
 def unpack(path: Path) -> Trajectory:
     """Return the trajectory of a file. Raises InputError when it cannot be read."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
-            return Trajectory(**{name: held[name] for name in Trajectory.__dataclass_fields__})
-    except (OSError, ValueError, KeyError, EOFError, NotImplementedError, zlib.error, zipfile.BadZipFile) as error:
+        held = arrays_of(path)
+        return Trajectory(**{name: held[name] for name in Trajectory.__dataclass_fields__})
+    except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path}: not a trajectory file ({' '.join(str(error).split())})") from error
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.sweeps.rows import provenance, results
 from cellslam.scenarios.suites import Suite, digest, suite
+from cellslam.sim.data_files import json_of, text_of
 from cellslam.sim.errors import InputError
 from cellslam.slam.registry import oracles
 
@@ -79,7 +80,7 @@ def read(path: Path) -> SuiteRows:
     import pandas as pd
 
     try:
-        table: Any = json.loads(path.read_text("utf-8"))
+        table: Any = json_of(text_of(path))
         frame = pd.DataFrame(table["rows"], columns=table["columns"]).reindex(columns=list(COLUMNS))
         one, said = suite(str(table["suite"])), str(table["digest"])
         made, machine, marked = dict(table["versions"]), str(table["machine"]), frozenset(table["oracles"])

@@ -8,10 +8,10 @@ wait for the rest could take longer than the limit of time.
 
 from __future__ import annotations
 
-import ctypes
 import os
 import pickle
 import resource
+import select
 import signal
 import subprocess
 import sys
@@ -24,6 +24,7 @@ from multiprocessing.connection import wait
 from typing import IO, Any
 
 from cellslam.benchmarks.trials.failures import LostError
+from cellslam.sim import supervisor
 
 # Every library keeps to one thread; set before Python starts, as libraries read it when imported.
 ONE_THREAD = dict.fromkeys(
@@ -38,12 +39,12 @@ LEAST_MEMORY_BYTES = 2 * 2**30
 SHARE_OF_MEMORY = 0.9
 MOST_BYTES = 2**26  # of one message
 MOST_READ = 2**20
-_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What one job may take, its world not counted: seconds, and bytes of memory in its process."""
+    """What one job may take, its world not counted: seconds, and bytes of memory in its process and all that this
+    starts."""
 
     seconds: float
     memory_bytes: int
@@ -56,16 +57,18 @@ def shares(jobs: int, seconds: float = TIME_LIMIT_S) -> Limits:
 
 
 class ChildProcess:
-    """A fresh Python that runs `main()` of a module; what it prints goes to `output`, `name` is for messages."""
+    """A fresh Python that runs `main()` of a module, supervised; what it prints goes to `output`, `name` is for
+    messages."""
 
     def __init__(self, module: str, limits: Limits, one_thread: bool, output: IO[bytes] | int, name: str) -> None:
         self.limits, self.name = limits, name
         self._arrived, self._writing = bytearray(), threading.Thread()
         requests, self._requests = os.pipe()
         self._replies, replies = os.pipe()
+        supervised = f"from cellslam.sim.supervisor import supervise; supervise({requests}, {replies})"
         self.process = subprocess.Popen(
             # -P: a file of the current directory must not hide a module.
-            [sys.executable, "-P", "-X", "faulthandler", "-c", f"from {module} import main; main()",
+            [sys.executable, "-P", "-X", "faulthandler", "-c", f"{supervised}; from {module} import main; main()",
              str(requests), str(replies), str(limits.memory_bytes)],
             stdin=subprocess.DEVNULL, stdout=output, stderr=output, pass_fds=(requests, replies),
             env={**os.environ, **(ONE_THREAD if one_thread else {}), "OMP_WAIT_POLICY": "PASSIVE"},
@@ -82,8 +85,12 @@ class ChildProcess:
         """Send a request, once the one before it is sent. That the process has ended is noticed by its `reply`."""
         if self._writing.ident is not None:
             self._writing.join()
+        message = pickle.dumps(request)
+        if len(message) <= select.PIPE_BUF and select.select([], [self._requests], [], 0.0)[1]:  # the pipe has room
+            _write(self._requests, message)
+            return
         # In a thread: a process that does not read must not keep this one.
-        self._writing = threading.Thread(target=_write, args=(self._requests, pickle.dumps(request)), daemon=True)
+        self._writing = threading.Thread(target=_write, args=(self._requests, message), daemon=True)
         self._writing.start()
 
     def reply(self, deadline: float) -> bytes | None:
@@ -105,10 +112,8 @@ class ChildProcess:
         return message
 
     def end(self) -> None:
-        """End the process at once, and what it has started in its session."""
-        with suppress(ProcessLookupError):
-            os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait()
+        """End the process at once, and all that it has started."""
+        supervisor.end(self.process)
         os.close(self._replies)
         if self._writing.ident is not None:
             self._writing.join(POLL_S)
@@ -131,7 +136,7 @@ class ChildProcess:
         try:
             status = self.process.wait(timeout=POLL_S)
         except subprocess.TimeoutExpired:
-            self.process.kill()
+            self.process.terminate()
             return f"{self.name} closed the connection"
         if status >= 0:
             return f"{self.name} ended with exit status {status}"
@@ -156,8 +161,6 @@ def connect() -> tuple[IO[bytes], Callable[[bytes], None]]:
     limit_bytes, parent = int(sys.argv[3]), os.getppid()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, limit_bytes))
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
     def reply(message: bytes) -> None:

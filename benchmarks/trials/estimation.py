@@ -7,8 +7,9 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from cellslam.benchmarks.trials.answers import (
 from cellslam.scenarios.estimator_options import Request
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Recording
-from cellslam.slam.api import odometry_of, setup_of, snapshots_of
+from cellslam.slam.api import Setup, Step, setup_of, steps_of
 from cellslam.slam.model.vt_map import VtMap
 
 # Waiting OpenMP threads shall sleep: spinning ones made a drive seven times slower on a busy machine. Read when
@@ -101,30 +102,34 @@ def estimate(
     `estimate_seconds` covers start, steps and finish alone, `peak_memory_mb` what is kept of the answers too. Raises
     BadAnswerError, or whatever the estimator raises, with the snapshot added to its notes.
     """
-    return collected(recording, request, answers(recording, request, rng, known), progress)
+    setup = setup_of(recording, request.oracle, known, requires_future(request))
+    return collected(recording, request, answers(setup, steps_of(recording), request, rng), progress)
 
 
-def answers(
-    recording: Recording, request: Request, rng: np.random.Generator, known: VtMap | None = None
-) -> Iterator[Answer]:
-    """Drive an estimator in this process: yield its answer to each snapshot, then those of `finish`, `calibration`,
-    `vt_map` and `remarks`, if any. `known`: the map that it begins with."""
-    setup, snapshots = setup_of(recording, request.oracle, known), snapshots_of(recording)
-    dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
-    odometry = odometry_of(recording)
+def requires_future(request: Request) -> bool:
+    """Return whether an estimator that is loaded in this process declares that it needs the whole drive beforehand."""
+    return bool(getattr(request.estimator, "requires_future", False))
+
+
+def answers(setup: Setup, steps: Iterable[Step], request: Request, rng: np.random.Generator) -> Iterator[Answer]:
+    """Drive an estimator in this process: yield its answer to each step, then those of `finish`, `calibration`,
+    `vt_map` and `remarks`, if any."""
+    coming = iter(steps)
+    first = next(coming)  # whatever goes wrong from here on is the answer to a step
     before = memory.begin()
     estimator = request.estimator(request.options)
     seconds = -time.perf_counter()
     estimator.start(setup, rng)
     seconds += time.perf_counter()
-    for snapshot, dt, velocity in zip(snapshots, dt_s.tolist(), odometry, strict=True):
+    for dt_s, odometry, snapshot in chain([first], coming):
+        index = snapshot.index
         try:
             begin = time.perf_counter()
-            answer = estimator.step(dt, velocity, snapshot)
+            answer = estimator.step(dt_s, odometry, snapshot)
             seconds += time.perf_counter() - begin
             columns = plain(answer)
         except BaseException as error:
-            error.add_note(f"snapshot {snapshot.index}")
+            error.add_note(f"snapshot {index}")
             raise
         yield Answer(seconds, columns)
     begin = time.perf_counter()

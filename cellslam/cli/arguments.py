@@ -95,7 +95,11 @@ SHARED: dict[str, dict[str, Any]] = {
         "default": 3600.0,
         "help": "time of an estimator in a process of its own for one trial, then it is killed (default: 3600)",
     },
-    "--memory-limit": {"metavar": "GIB", "type": number, "help": "memory of a process (default: fair share)"},
+    "--memory-limit": {
+        "metavar": "GIB",
+        "type": number,
+        "help": "memory of a process and of all that it starts (default: fair share)",
+    },
     # How results are summed up.
     "--rows": {
         "metavar": "KEY",

@@ -19,8 +19,10 @@ from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.cli.progress_bars import bars
 from cellslam.recordings.fitting.assumptions import Assumptions, assumed
 from cellslam.scenarios.estimator_options import resolve
+from cellslam.scenarios.external_options import LOAD_LIMIT_S
 from cellslam.scenarios.overrides import parse_all
 from cellslam.scenarios.recording_origin import TECHNOLOGY, Origin
+from cellslam.sim.data_files import text_of, toml_of
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Recording
@@ -35,7 +37,12 @@ def origin_by(arguments: Namespace, recording: Recording, path: Path) -> Origin:
 
 
 def assumed_by(
-    arguments: Namespace, recording: Recording, origin: Origin, names: Sequence[str], bar: Progress
+    arguments: Namespace,
+    recording: Recording,
+    origin: Origin,
+    names: Sequence[str],
+    bar: Progress,
+    limit_s: float = LOAD_LIMIT_S,
 ) -> Assumptions:
     """Return what estimators `names` assume by the arguments of a command, and where these say nothing by the
     recording (`assumed`). Raises InputError.
@@ -49,7 +56,7 @@ def assumed_by(
             "sheet, as 'noise.u_psi.noise_density'"
         )
     from_file = dict(_options_of(Path(arguments.options))) if arguments.options else {}
-    return assumed(recording, origin, names, from_file | changes, fit, bar)
+    return assumed(recording, origin, names, from_file | changes, fit, bar, limit_s)
 
 
 def estimates_by(
@@ -86,7 +93,7 @@ def doubts(recording: Recording, results: Sequence[TrialResult]) -> dict[str, li
 def _options_of(path: Path) -> Iterator[tuple[str, Any]]:
     """Yield the keys of a file of options with their values, as "estimator.NAME.option". Raises InputError."""
     try:
-        tables = tomllib.loads(path.read_text("utf-8"))
+        tables = toml_of(text_of(path))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"--options {path}: not TOML ({error}); correct it there") from error
     except OSError as error:

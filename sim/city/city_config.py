@@ -24,7 +24,7 @@ class ProceduralCityConfig(_Config):
     """A generated city: jittered streets, blocks with courtyards, free-standing buildings, squares."""
 
     kind: Literal["procedural"] = Field("procedural", description="a generated city")
-    seed: int | Literal["trial"] = Field(
+    seed: Annotated[int, Field(ge=0)] | Literal["trial"] = Field(
         1, description="seed of the city, fixed by the scenario; 'trial': another city in each trial"
     )
     extent_m: float = Field(700.0, ge=100.0, le=5000.0, description="side of the square that holds the street network")

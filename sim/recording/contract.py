@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
+from cellslam.sim.plausible import RANGES, Range
 from cellslam.sim.recording.columns import COLUMNS, Column, check_shapes
 from cellslam.sim.recording.tables import Floats, Ints, Links, Measurements, OdometryModel, Reference, Sites, Truth
 
@@ -30,6 +31,7 @@ RULES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "size": (lambda x: x > 0, "is not a size (must be > 0)"),
 }
 _COUNTED = {"S": "sites", "T": "snapshots", "L": "links", "V": "VTs", "N": "vehicles"}
+TIMES = ("time_s", "truth/vehicles/time_s", "reference/time_s")  # of rows that are in order
 _COMPARED = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db")
 
 
@@ -69,9 +71,12 @@ class Recording(Described):
         for column in COLUMNS:
             if column.path in values:
                 _check_values(column, values[column.path], sizes)
-        for path in ("time_s", "truth/vehicles/time_s", "reference/time_s"):
-            later = np.diff(values.get(path, np.empty(0))) > 0
-            _require(later, path.replace("/", "."), "is not after the row before it: sort the rows by time", offset=1)
+        for path in TIMES:
+            steps = np.diff(values.get(path, np.empty(0)))
+            _require(
+                steps > 0, path.replace("/", "."), "is not after the row before it: sort the rows by time", offset=1
+            )
+            _check_range(RANGES["interval"], steps, f"{path.replace('/', '.')}, step to row", offset=1)
         _check_measurements(self.measurements, len(self.links))
         surveyed = np.isfinite(self.sites.surveyed_m)
         half = surveyed.any(axis=1) & ~surveyed.all(axis=1)
@@ -130,6 +135,8 @@ def _check_values(column: Column, values: NDArray[Any], sizes: Mapping[str, int]
     if column.rule:
         fulfilled, problem = RULES[column.rule]
         _require(fulfilled(values), column.name, problem)
+    for span, part in column.parts(values):
+        _check_range(span, part, f"{column.name}, row")
     if column.index:
         for number, symbol in zip(values.reshape(-1, len(column.index)).T, column.index, strict=True):
             inside = (number >= (-1 if column.none else 0)) & (number < sizes[symbol])
@@ -158,6 +165,13 @@ def _check_measurements(m: Measurements, links: int) -> None:
         raise InputError(
             f"measurements, row {repeats.min()}: repeats an earlier row of its snapshot and link; remove one of them"
         )
+
+
+def _check_range(span: Range, values: NDArray[Any], what: str, offset: int = 0) -> None:
+    beyond = (values < span.possible[0]) | (values > span.possible[1])
+    if beyond.any():
+        at = np.argwhere(beyond)[0]
+        raise span.impossible(float(values[tuple(at)]), f"{what} {at[0] + offset}")
 
 
 def _require(ok: NDArray[np.bool_], name: str, problem: str, offset: int = 0) -> None:

@@ -45,8 +45,9 @@ def declares_what_it_is(subject: Subject) -> None:
     cls = subject.estimator
     name = getattr(cls, "name", None)
     require(isinstance(name, str) and bool(name), f"name is {name!r}", 'give the class a name: name = "my-estimator"')
-    flag = getattr(cls, "requires_truth", False)
-    require(isinstance(flag, bool), f"requires_truth is {flag!r}", "make it True (an oracle) or leave it out")
+    for flag, what in (("requires_truth", "an oracle"), ("requires_future", "it needs the whole drive beforehand")):
+        value = getattr(cls, flag, False)
+        require(isinstance(value, bool), f"{flag} is {value!r}", f"make it True ({what}) or leave it out")
     for method in ("start", "step"):
         require(callable(getattr(cls, method, None)), f"there is no method {method}", "see slam.api.Estimator")
     options = getattr(cls, "Options", None)

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.recording import Floats, Recording
-from cellslam.slam.api import Estimate, Setup, Snapshot, setup_of, snapshots_of
+from cellslam.slam.api import Estimate, Setup, Snapshot, Step, setup_of, steps_of
 
-Step = tuple[float, Floats, Snapshot]
 SHORT = 60  # snapshots of most checks: 4.5 s
 
 
@@ -116,9 +115,11 @@ class Subject:
             compile_now()
 
     def setup(self) -> Setup:
-        """Return what the runner gives: truth for a declared oracle alone. Writable copies, to see who writes."""
+        """Return what the runner gives: truth for a declared oracle alone, steps for who declares to need the future.
+        Writable copies, to see who writes."""
         setup: Setup = writable(setup_of(self.recording, bool(getattr(self.estimator, "requires_truth", False))))
-        return setup
+        foresees = bool(getattr(self.estimator, "requires_future", False))
+        return replace(setup, future=tuple(self.steps())) if foresees else setup
 
     def steps(self, count: int | None = SHORT) -> list[Step]:
         """Return interval, odometry and snapshot of the first `count` snapshots, as writable copies."""
@@ -126,8 +127,7 @@ class Subject:
 
     @cached_property
     def _every(self) -> list[Step]:
-        dt_s = np.diff(self.recording.time_s, prepend=self.recording.time_s[0])
-        return list(zip(dt_s.tolist(), self.recording.odometry, snapshots_of(self.recording), strict=True))
+        return steps_of(self.recording)
 
 
 @cache
@@ -139,8 +139,13 @@ def tiny_drive() -> Recording:
 
 def drive(estimator: Any, setup: Setup, steps: Sequence[Step], seed: int = 0) -> list[Estimate]:
     """Return copies of an estimator's answers over `steps`, from a start with the generator of `seed`."""
-    estimator.start(setup, np.random.default_rng(seed))
+    estimator.start(with_future(setup, steps), np.random.default_rng(seed))
     return [copied(estimator.step(*step)) for step in steps]
+
+
+def with_future(setup: Setup, steps: Sequence[Step]) -> Setup:
+    """Return a setup whose future, where it has one, is `steps`."""
+    return setup if setup.future is None else replace(setup, future=tuple(steps))
 
 
 def writable(value: Any) -> Any:
@@ -194,7 +199,7 @@ def run_checked(subject: Subject, steps: Sequence[Step], situation: str, remedy:
     """Drive a new instance over `steps`; raise ConformanceError for whatever goes wrong in this situation."""
     try:
         setup, estimator = subject.setup(), subject.new()
-        estimator.start(setup, np.random.default_rng(0))
+        estimator.start(with_future(setup, steps), np.random.default_rng(0))
         for step in steps:
             check_answer(estimator.step(*step), step[2], setup)
     except ConformanceError as error:

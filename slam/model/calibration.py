@@ -93,6 +93,8 @@ class Calibration(Described):
         pairs = self.component * self.grid.cells + self.cell
         if ((self.cell < 0) | (self.cell >= self.grid.cells)).any() or len(np.unique(pairs)) < count:
             raise InputError(f"cells must be among {self.grid.cells}, each once a component")
+        if (np.abs(self.covariance - self.covariance.T) > 1e-9 * np.abs(self.covariance).max(initial=0.0)).any():
+            raise InputError("covariance is none: it is not symmetric")
         if count and np.linalg.eigvalsh(self.covariance)[0] < -1e-9 * np.abs(self.covariance).max():
             raise InputError("covariance is none: it has a negative eigenvalue")
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cellslam.sim.data_files import MOST_DEFLATED
 from cellslam.sim.errors import InputError
 
 
@@ -67,13 +68,17 @@ def read(path: str | Path, kind: Kind) -> tuple[dict[str, Any], dict[str, Any]]:
             return arrays, dict(json.loads(str(file.attrs["provenance"])))
     except InputError as error:
         raise InputError(f"{path}: {error}; {writes}") from error
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError) as error:
         raise InputError(f"{path}: not a {kind.name}, or a truncated one ({error}); {writes}") from error
 
 
 def _values(dataset: Any) -> Any:
     import h5py
 
+    if dataset.size * 8 > MOST_DEFLATED * max(dataset.id.get_storage_size(), 8):
+        raise ValueError(
+            f"'{dataset.name}' declares {dataset.size} values and holds {dataset.id.get_storage_size()} bytes"
+        )
     if h5py.check_string_dtype(dataset.dtype) is not None:
         return np.asarray(dataset.asstr()[()], np.str_)
     return np.asarray(dataset[()], np.float64)

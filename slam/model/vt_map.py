@@ -21,6 +21,7 @@ import numpy as np
 
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
+from cellslam.sim.plausible import RANGES
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.hdf5_file import Kind, check_shapes, read, write
 
@@ -100,8 +101,16 @@ class VtMap(Described):
         })  # fmt: skip
         if (np.linalg.norm(self.position_m - self.anchor_m, axis=1) == 0.0).any():
             raise InputError("a position is its anchor: a VT is seen from elsewhere")
+        for name in ("position_m", "anchor_m"):
+            for value in getattr(self, name).ravel():
+                RANGES["position"].check(float(value), name)
+        if (self.hits < 0).any() or (self.missed < 0).any():
+            raise InputError("hits and missed count measurements: write whole numbers from 0 on")
         least = np.linalg.eigvalsh(self.own_m2)[:, 0] if count else np.zeros(0)
         scale = np.abs(self.own_m2).max(axis=(1, 2), initial=0.0)
+        skew = np.abs(self.own_m2 - np.swapaxes(self.own_m2, 1, 2)).max(axis=(1, 2), initial=0.0)
+        if (skew > 1e-9 * scale).any():
+            raise InputError(f"own_m2 is no covariance: that of VT {int(np.argmax(skew))} is not symmetric")
         if (least < -1e-9 * scale).any():
             raise InputError(f"own_m2 is no covariance: that of VT {int(np.argmin(least))} has a negative eigenvalue")
 

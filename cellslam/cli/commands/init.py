@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from argparse import ArgumentParser, Namespace
@@ -23,7 +22,8 @@ from cellslam.scenarios.loading import from_tables, load, preset_names
 from cellslam.sim.city.city import City, Floats
 from cellslam.sim.city.files.osm import local_m
 from cellslam.sim.city.ways import ways_between
-from cellslam.sim.errors import InputError
+from cellslam.sim.data_files import json_of, text_of
+from cellslam.sim.errors import InputError, one_line
 from cellslam.sim.lte.sites import ABOVE_ROOF_M, LOWEST_M, CellConfig, SiteConfig, place_sites, roof_height
 from cellslam.sim.vehicle.route import MARGIN_M, Route, plan_route
 from cellslam.sim.vehicle.vehicle_config import VehicleConfig
@@ -219,14 +219,14 @@ def _metres(places: list[Place], city: City, path: str) -> Floats:
 def _read_geo_file(path: Path) -> tuple[list[list[Place]], list[Place]]:
     """Return the lines and the single places of a file."""
     try:
-        text = path.read_text("utf-8")
+        text = text_of(path)
         if path.suffix == ".gpx":
             return _gpx(ElementTree.fromstring(text))
-        return _geojson(json.loads(text))
+        return _geojson(json_of(text))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, ElementTree.ParseError) as error:
-        raise InputError(f"{path}: is neither GPX (named .gpx) nor GeoJSON ({error})") from None
+        raise InputError(f"{path}: is neither GPX (named .gpx) nor GeoJSON ({one_line(error, 160)})") from None
 
 
 def _gpx(root: ElementTree.Element) -> tuple[list[list[Place]], list[Place]]:

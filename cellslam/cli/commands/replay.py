@@ -49,7 +49,7 @@ def command(arguments: Namespace) -> int:
     check_folder(out)
     names = arguments.estimators or trials.DEFAULT_ESTIMATORS
     with bars(arguments.quiet) as progress:
-        given = assumed_by(arguments, recording, origin, names, progress)
+        given = assumed_by(arguments, recording, origin, names, progress, arguments.time_limit)
     requests, without = with_calibration(arguments, given.requests, 1)
     scenario = with_options(origin.scenario, requests) if origin.scenario is not None else None
     results = Results(arguments, origin.name, requests, out, scenario=scenario)

@@ -53,7 +53,7 @@ def command(arguments: Namespace) -> int:
     scenario = load(arguments.scenario, overrides)
     check_counts(trials, seed)
     names = arguments.estimators or DEFAULT_ESTIMATORS
-    requests = external_options.requests(scenario.estimator, names, overrides)
+    requests = external_options.requests(scenario.estimator, names, overrides, arguments.time_limit)
     requests, without = with_calibration(arguments, requests, trials)
     out = Path(arguments.out or f"results/{scenario.name}-{seed}")
     results = Results(arguments, scenario.name, requests, out, trials, with_options(scenario, requests))

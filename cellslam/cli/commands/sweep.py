@@ -46,7 +46,7 @@ def command(arguments: Namespace) -> int:
     estimators = asked.estimators or DEFAULT_ESTIMATORS
     trials, seed = 1 if asked.trials is None else asked.trials, asked.seed or 0
     check_counts(trials, seed)
-    return carry(arguments, sweeps.points(asked, estimators), trials, seed, Path(arguments.out))
+    return carry(arguments, sweeps.points(asked, estimators, arguments.time_limit), trials, seed, Path(arguments.out))
 
 
 def requested(arguments: Namespace) -> sweeps.Sweep:

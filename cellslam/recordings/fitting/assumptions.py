@@ -39,18 +39,18 @@ class Assumptions:
 
 def assumed(
     recording: Recording, origin: Origin, names: Sequence[str], given: Mapping[str, Any], fit: bool | None = None,
-    progress: Progress = silent,
+    progress: Progress = silent, limit_s: float = external_options.LOAD_LIMIT_S,
 ) -> Assumptions:  # fmt: skip
     """Return what estimators `names` assume: by the recording's scenario, or by what it shows itself (`fit`; None:
     for map builders on a measured one).
 
-    `given`: what goes before, by key, "estimator.NAME.option" and "noise.COMPONENT.part". Raises InputError, also for
-    code that the recording names and `given` does not.
+    `given`: what goes before, by key, "estimator.NAME.option" and "noise.COMPONENT.part"; `limit_s`: of
+    `external_options.asking`. Raises InputError, also for code that the recording names and `given` does not.
     """
     _refuse_code(origin, names, given)
     overrides = {key: value for key, value in given.items() if not key.startswith("noise.")}
     sheet = changed_sheet(recording.odometry_model, {k: v for k, v in given.items() if k.startswith("noise.")})
-    requests = _requests(origin.options, names, overrides)
+    requests = _requests(origin.options, names, overrides, limit_s)
     mapping = any(isinstance(r.options, MeasurementOptions) for r in requests)
     if not (origin.measured and mapping if fit is None else fit):
         return Assumptions(requests, sheet)
@@ -58,8 +58,8 @@ def assumed(
         learnt = learn(replace(recording, odometry_model=sheet), origin.assumed(), progress)
     except InputError as error:
         learnt = Learnt(dict(UNKNOWN), sheet, {}, False)
-        return Assumptions(_with(learnt, origin, requests, overrides), sheet, None, str(error))
-    return Assumptions(_with(learnt, origin, requests, overrides), learnt.odometry_model, learnt)
+        return Assumptions(_with(learnt, origin, requests, overrides, limit_s), sheet, None, str(error))
+    return Assumptions(_with(learnt, origin, requests, overrides, limit_s), learnt.odometry_model, learnt)
 
 
 def _refuse_code(origin: Origin, names: Sequence[str], given: Mapping[str, Any]) -> None:
@@ -74,17 +74,19 @@ def _refuse_code(origin: Origin, names: Sequence[str], given: Mapping[str, Any])
 
 
 def _with(
-    learnt: Learnt, origin: Origin, requests: Sequence[Request], overrides: Mapping[str, Any]
+    learnt: Learnt, origin: Origin, requests: Sequence[Request], overrides: Mapping[str, Any], limit_s: float
 ) -> tuple[Request, ...]:
     """Return the requests with the options that were learnt."""
     tables = {r.name: learnt.table(type(r.options) if r.options else None) for r in requests}
     merged = {name: {**origin.options.get(name, {}), **table} for name, table in tables.items()}
-    return _requests({**origin.options, **merged}, [r.name for r in requests], overrides)
+    return _requests({**origin.options, **merged}, [r.name for r in requests], overrides, limit_s)
 
 
-def _requests(tables: Mapping[str, Any], names: Sequence[str], overrides: Mapping[str, Any]) -> tuple[Request, ...]:
+def _requests(
+    tables: Mapping[str, Any], names: Sequence[str], overrides: Mapping[str, Any], limit_s: float
+) -> tuple[Request, ...]:
     full = apply({"estimator": tables}, overrides)["estimator"]
-    return external_options.requests(full, names, overrides)
+    return external_options.requests(full, names, overrides, limit_s)
 
 
 def changed_sheet(sheet: OdometryModel, changes: Mapping[str, Any]) -> OdometryModel:

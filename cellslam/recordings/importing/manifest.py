@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.scenarios.keys import validate
+from cellslam.sim.data_files import text_of, toml_of
 from cellslam.sim.errors import InputError
 
 NAME = "recording.toml"
@@ -189,7 +190,7 @@ def files_outside(folder: Path, tables: Any) -> list[str]:
 def read_tables(path: Path, model: type[Tables]) -> Tables:
     """Return a TOML file as a model. Raises InputError with file, key, value and what is allowed."""
     try:
-        tables = tomllib.loads(path.read_text("utf-8"))
+        tables = toml_of(text_of(path))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not TOML ({error}); correct it there") from error
     except OSError as error:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cellslam.sim.data_files import MOST_DEFLATED
 from cellslam.sim.errors import InputError, nearest_name
-from cellslam.sim.recording.damage import refuse_elsewhere
+from cellslam.sim.recording.damage import LIMIT_S, LIMIT_S_PER_BYTE, refuse_elsewhere
 
 
 def variables(path: Path, names: Sequence[str] = ()) -> dict[str, Any]:
@@ -32,6 +36,15 @@ def variables(path: Path, names: Sequence[str] = ()) -> dict[str, Any]:
 def _read_old(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
 
+    # SciPy may crash on a damaged file: another process reads it first.
+    command = [sys.executable, "-P", "-c", "import sys; from scipy.io import loadmat; loadmat(sys.argv[1])", str(path)]
+    limit_s = LIMIT_S + LIMIT_S_PER_BYTE * path.stat().st_size
+    try:
+        ended = subprocess.run(command, capture_output=True, timeout=limit_s, check=False).returncode
+    except subprocess.TimeoutExpired:
+        raise InputError(f"{path}: damaged: it was not read in {limit_s:.0f} s; export it again") from None
+    if ended < 0:
+        raise InputError(f"{path}: damaged: SciPy crashes on it ({signal.Signals(-ended).name}); export it again")
     try:
         raw = loadmat(str(path), simplify_cells=False)
     except Exception as error:
@@ -72,6 +85,8 @@ def _hdf5_value(file: Any, item: Any) -> Any:
 
     if isinstance(item, h5py.Group):
         return {name: _hdf5_value(file, inner) for name, inner in item.items()}
+    if item.size * item.dtype.itemsize > MOST_DEFLATED * max(item.id.get_storage_size(), item.dtype.itemsize):
+        raise OSError(f"'{item.name}' declares {item.size} values and holds {item.id.get_storage_size()} bytes")
     kind = item.attrs.get("MATLAB_class", b"")
     kind = kind.decode() if isinstance(kind, bytes) else str(kind)
     if item.attrs.get("MATLAB_empty", 0):

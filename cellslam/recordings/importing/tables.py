@@ -8,6 +8,7 @@ matrix, are called by their number, from 1.
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
@@ -21,6 +22,7 @@ from cellslam.recordings.importing.matlab import variables
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.recording import Floats
 
+MOST_COLUMNS = 10_000  # of a table: more are lines without their ends
 TEXT = (".csv", ".txt", ".tsv", ".dat")
 
 
@@ -108,12 +110,14 @@ class Head:
         if not first:
             raise InputError(f"{path}: is empty; it needs a header line with the names of the columns, or numbers")
         separator = delimiter.replace(" ", "") or _separator(first)
-        cells = _cells(first, separator)
+        try:
+            cells = _cells(first, separator)
+            above = [_cells(before, mark) for mark in (_separator(before), separator, "")]
+        except csv.Error as error:
+            raise InputError(f"{path}: {error}; end each line with a line feed") from error
         if not any(_is_number(cell) for cell in cells):
             return cls(separator, tuple(cells), True, tuple(comments))
-        named = next(
-            (names for s in (_separator(before), separator, "") if len(names := _cells(before, s)) == len(cells)), []
-        )
+        named = next((names for names in above if len(names) == len(cells)), [])
         numbers = [str(k + 1) for k in range(len(cells))]
         if len(set(named)) != len(named) or any(_is_number(name) for name in named):
             named = []
@@ -136,7 +140,10 @@ def _separator(line: str) -> str:
 
 
 def _cells(line: str, separator: str) -> list[str]:
+    """Return the cells of a line. Raises csv.Error."""
     cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True)) if separator else line.split()
+    if len(cells) > MOST_COLUMNS:
+        raise csv.Error(f"a line has {len(cells)} cells, the most are {MOST_COLUMNS}")
     return [cell.strip() for cell in cells]
 
 
@@ -149,7 +156,7 @@ def _text_columns(path: Path, head: Head) -> dict[str, Any]:
         "give every line as many cells as the header or first line, or say 'delimiter' (numbers have decimal points)"
     )
     names = list(head.names)
-    twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+    twice = next((name for name, count in Counter(names).items() if count > 1), None)
     if twice is not None:
         raise InputError(f"{path}: two columns are called '{twice}'; rename one")
     try:

@@ -21,7 +21,10 @@ from cellslam.recordings.inspection.mistakes import DEGREE, EXPLANATIONS, Explan
 from cellslam.recordings.inspection.path_evidence import PathEvidence
 from cellslam.recordings.inspection.trajectory_evidence import RangeEvidence, ReferenceEvidence
 from cellslam.sim.frames import wrap_angle
+from cellslam.sim.plausible import RANGES
 from cellslam.sim.recording import Floats, Ints, Recording
+from cellslam.sim.recording.columns import COLUMNS
+from cellslam.sim.recording.contract import TIMES, values_of
 
 FASTEST_TURN = 2.5  # rad/s: faster than any road vehicle, for its upper decile
 LEAST_ANGLES = 50
@@ -29,6 +32,7 @@ START_M = 15.0  # so much of the path shows in which direction a drive starts
 BACKWARDS = 0.8  # of the path: nobody drives so
 ROUNDS = 5  # of refinement
 FEWEST, LEFT = 6, 0.75  # blocks, and share of the stretches, that a delay must leave within the drive
+STDS, NOISE_M = 5.0, 100.0  # of a clock's offset, and an error of a distance, which nothing sound goes beyond
 OVERLAP = 0.5  # stretches overlap: so much of their number is independent
 MOST = 5.0  # log-likelihood that a single stretch may give or take
 NATS, AGREED = 10.0, 0.7  # least gain of all stretches, and how far blocks must agree
@@ -57,7 +61,7 @@ Evidence = PathEvidence | ReferenceEvidence | RangeEvidence
 def suspicions(recording: Recording) -> list[Suspicion]:
     """Return what looks wrong in a recording; none for sound data."""
     # What one table shows alone spoils all else; directions are told only where tables do not contradict each other.
-    for checks in (ALONE, (contradictions,), DIRECTIONS):
+    for checks in (ALONE, (contradictions,), DIRECTIONS, PLAUSIBLE):
         if found := [suspicion for check in checks for suspicion in check(recording)]:
             return found
     return []
@@ -162,8 +166,38 @@ def driving_backwards(recording: Recording) -> Iterator[Suspicion]:
         )
 
 
+def unusual_values(recording: Recording) -> Iterator[Suspicion]:
+    """Values beyond the usual (`sim.plausible`)."""
+    values = values_of(recording)
+    found = [(c.name, *part) for c in COLUMNS if c.path in values for part in c.parts(values[c.path])]
+    steps = [(path, np.diff(values[path])) for path in TIMES if path in values]
+    found += [(f"intervals of {path.replace('/', '.')}", RANGES["interval"], step) for path, step in steps]
+    for name, span, column in found:
+        beyond = column[(column < span.usual[0]) | (column > span.usual[1])]
+        if len(beyond):
+            usual = f"{span.usual[0]:g} to {span.usual[1]:g} {span.unit} is usual ({span.why})"
+            yield Suspicion("unusual", f"{len(beyond)} of {column.size} {name} are as {beyond[0]:.6g}: {usual}")
+
+
+def negative_distances(recording: Recording) -> Iterator[Suspicion]:
+    """Distances that the prior of the clock offset makes negative."""
+    m, sites = recording.measurements, recording.sites
+    lasts_s = float(recording.elapsed_s[-1])
+    walked = sites.walk_densities[0] * np.sqrt(lasts_s) + sites.walk_densities[1] * lasts_s**1.5
+    std = sites.clock_offset_std_m + sites.drift_std_m_s * lasts_s + walked + sites.step_std_m
+    least = sites.clock_offset_mean_m - STDS * std - NOISE_M
+    below = m.distance_m < least[recording.links.site[m.link]]
+    if below.any():
+        yield Suspicion(
+            "negative-distances",
+            f"{below.sum()} distances are too short for any transmitter, as {m.distance_m[below][0]:.6g} m in row "
+            f"{np.flatnonzero(below)[0]}: state the site's clock offset and its deviation, or leave the rows out",
+        )
+
+
 ALONE: Sequence[Check] = (azimuths_as_degrees, whole_distances, fast_turns)
 DIRECTIONS: Sequence[Check] = (yaw_of_reference, start_against_odometry, driving_backwards)
+PLAUSIBLE: Sequence[Check] = (unusual_values, negative_distances)
 
 
 class Gain(NamedTuple):

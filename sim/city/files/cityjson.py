@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 from cellslam.sim.city.assemble import ear_cut
 from cellslam.sim.city.city import Floats, Ints
 from cellslam.sim.city.facets import triangle_normals
+from cellslam.sim.data_files import json_of, text_of
 from cellslam.sim.errors import InputError, one_line
 
 # Nesting of boundaries above a surface, by geometry type (CityJSON 2.0, section 3.2).
@@ -24,10 +24,10 @@ def read_cityjson(path: Path) -> Iterator[tuple[Floats, Ints, str]]:
     (K, 3), and the building that the object is part of. Raises InputError for what is no CityJSON.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = text_of(path)
         texts = [text] if path.suffix == ".json" else [line for line in text.splitlines() if line.strip()]
-        documents = [json.loads(text) for text in texts]
-    except (OSError, ValueError, RecursionError) as error:
+        documents = [json_of(text) for text in texts]
+    except (OSError, ValueError) as error:
         raise InputError(f"cannot read CityJSON '{path}': {one_line(error, 160)}") from None
     if not documents or not isinstance(documents[0], dict) or documents[0].get("type") != "CityJSON":
         raise InputError(f'\'{path}\' is no CityJSON: expected "type": "CityJSON" at its start')
@@ -45,7 +45,7 @@ def read_cityjson(path: Path) -> Iterator[tuple[Floats, Ints, str]]:
                     used, renumbered = np.unique(triangles, return_inverse=True)
                     parents = entry.get("parents") or [name]
                     yield vertices[used], renumbered.reshape(-1, 3).astype(np.int64), str(parents[0])
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError) as error:
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError, OverflowError) as error:
         what = f"{type(error).__name__}: {one_line(error, 120)}"
         raise InputError(f"CityJSON '{path}' does not keep to its specification ({what})") from None
 

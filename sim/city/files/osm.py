@@ -15,6 +15,7 @@ from cellslam.sim.city.city import GROUND, City, Floats, Material, Tolerances
 from cellslam.sim.city.materials import THICKNESS_M, itu_material
 from cellslam.sim.city.ways import largest_network
 from cellslam.sim.errors import InputError, one_line
+from cellslam.sim.plausible import RANGES
 
 if TYPE_CHECKING:
     from shapely import Polygon
@@ -35,7 +36,7 @@ MATERIALS = {
     "concrete", "glass": "glass", "mirror": "glass", "metal": "metal", "metal_plates": "metal", "steel": "metal",
     "wood": "wood", "timber_framing": "wood", "marble": "marble",
 }  # fmt: skip
-_LENGTH = re.compile(r"\s*(\d+(?:[.,]\d+)?)\s*(m|ft|')?")
+_LENGTH = re.compile(r"\s*(\d+(?:[.,]\d+)?(?:e\d+)?)\s*(m|ft|')?", re.IGNORECASE)
 # WGS 84: semi-major axis, first eccentricity squared.
 _SEMI_MAJOR_M, _ECCENTRICITY2 = 6378137.0, 6.69437999014e-3
 
@@ -152,7 +153,9 @@ def _metres(tags: Tags, length_key: str, level_key: str) -> float | None:
     for key, unit_m in ((length_key, 1.0), (level_key, STOREY_M)):
         found = _LENGTH.match(tags.get(key, ""))
         if found:
-            return float(found[1].replace(",", ".")) * (0.3048 if found[2] in ("ft", "'") else unit_m)
+            height = float(found[1].replace(",", ".")) * (0.3048 if found[2] in ("ft", "'") else unit_m)
+            RANGES["height"].check(height, f"OpenStreetMap tag {key}={one_line(tags[key], 40)}")
+            return height
     return None
 
 

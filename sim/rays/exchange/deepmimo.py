@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.data_files import arrays_of
 from cellslam.sim.errors import InputError, one_line
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
 from cellslam.sim.rays.exchange.traced_paths import EXACT, ByLink, Columns, Tolerance, Traced, traced, zenith
@@ -97,9 +98,9 @@ def _matrix(path: Path, key: str) -> Floats:
 
             held: Any = {k: v for k, v in loadmat(str(path)).items() if not k.startswith("__")}
         else:
-            held = np.load(path, allow_pickle=False)
+            held = arrays_of(path)
         if path.suffix == ".npy":
-            return np.asarray(held, np.float64)
+            return np.asarray(held[""], np.float64)
         names = [name for name in held if ALIASES.get(name, name) == key]
         return np.asarray(held[names[0]], np.float64)
     except (OSError, ValueError, IndexError, KeyError) as error:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.data_files import arrays_of
 from cellslam.sim.errors import InputError, one_line
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.rays.exchange.traced_paths import EXACT, ByLink, Columns, Tolerance, Traced, traced, zenith
@@ -68,8 +69,7 @@ def read_sionna(
 
 def _loaded(path: Path) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: np.asarray(file[name]) for name in file.files}
+        arrays = arrays_of(path)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: not an .npz of arrays ({one_line(error)})") from error
     if "a" not in arrays and {"a_real", "a_imag"} <= set(arrays):

@@ -10,10 +10,11 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from cellslam.benchmarks.figures.style import BLACK, GREY, colour_of, estimator_styles
+from cellslam.benchmarks.figures.style import BLACK, GREY, colour_of, estimator_styles, save
 from cellslam.benchmarks.figures.trial.trial_figures import draw_all
 from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.scenarios.estimator_options import resolve
+from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 from cellslam.slam import registry
 
@@ -53,3 +54,12 @@ def test_series_of_an_estimator_are_shades_of_its_colour() -> None:
     brightness = [sum(int(shade[at : at + 2], 16) for at in (1, 3, 5)) for shade in shades]
     assert brightness == sorted(set(brightness)) and brightness[-1] < 3 * 255
     assert len({styles[label]["linestyle"] for label in labels[1:]}) == 3
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a disk that is always full")
+def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    path.symlink_to("/dev/full")
+    with pytest.raises(InputError, match=r"a.png: the figure cannot be written \(No space left on device\)"):
+        save(Figure(), path)
+    assert not path.is_symlink()

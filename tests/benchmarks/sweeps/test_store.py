@@ -231,7 +231,8 @@ def test_what_is_no_store_is_refused(tmp_path: Path) -> None:
         other.execute("CREATE TABLE x (y)")
         other.execute("PRAGMA user_version = 99")
     (tmp_path / "file").touch()
-    for name, words in (("text", "not a database"), ("later", "schema 99"), ("file", "is a file, not a folder")):
+    later = "schema 99, .* still reads it"
+    for name, words in (("text", "not a database"), ("later", later), ("file", "is a file, not a folder")):
         with pytest.raises(InputError, match=words), store.writing(tmp_path / name, "test", {}):
             raise AssertionError
     with pytest.raises(InputError, match="cannot be written"), only_writer(tmp_path / "none", "test"):
@@ -273,3 +274,14 @@ def test_a_store_made_before_a_metric_existed_stays_readable_and_goes_on(tmp_pat
     second = dataclasses.replace(made, tasks=made.tasks[1:])
     made_up(tmp_path, second, lambda *_: {"nees_mean": 2.0})
     assert results(tmp_path)["nees_mean"].fillna(-1.0).tolist() == [-1.0, 2.0]
+
+
+def test_a_damaged_database_is_not_gone_on_with(tmp_path: Path) -> None:
+    folder = made_up(tmp_path / "a", plan_of({}, trials=3))
+    path = folder / store.DATABASE
+    raw = bytearray(path.read_bytes())
+    raw[4096:] = b"\xff" * len(raw[4096:])
+    path.write_bytes(bytes(raw))
+    with pytest.raises(InputError, match=r"damaged .*malformed.*recover") as found:
+        results(folder)
+    assert "the same command" not in str(found.value)

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from cellslam.benchmarks.trials.answers import encoded
 from cellslam.sim.frames import integrate_pose
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate, WallEstimate
 
@@ -100,6 +101,37 @@ def write_everywhere(message: bytes) -> None:
             os.write(fd, message)
 
 
+def answer_often(_: Any) -> None:
+    about = {"snapshot": NOW, "seconds": 1e-6, "remarks": [], "peak_memory_mb": 0.0}
+    message = encoded(about, {"pose": np.zeros(6), "covariance": np.eye(6)})
+    write_everywhere(101 * (len(message).to_bytes(8, "little") + message))
+
+
+def leave_orphan_and_hang(_: Any) -> None:
+    """What it leaves is of another session, and its parent is gone."""
+    if os.fork() == 0:
+        os.setsid()
+        if os.fork() == 0:
+            Path("orphan").write_text(str(os.getpid()))
+            hang(None)
+        os._exit(0)
+    hang(None)
+
+
+def eat_memory_in_children(_: Any) -> None:
+    for _ in range(4):
+        if os.fork() == 0:
+            hang(np.ones(2**25))  # 256 MiB
+    hang(None)
+
+
+def print_much(_: Any) -> None:
+    for _ in range(100):
+        os.write(2, 100_000 * b"-")
+    os.write(2, b"last words")
+    os._exit(6)
+
+
 def leave_child_and_die(_: Any) -> None:
     if os.fork():
         os._exit(3)
@@ -132,6 +164,10 @@ ODD: dict[str, tuple[Any, str]] = {
     "HangsInC": (doing(lambda _: ctypes.PyDLL(None).sleep(1000)), NO_ANSWER),  # holds the interpreter: no thread runs
     "EatsMemory": (doing(lambda _: [np.empty(10**8) for _ in range(100)]), "MemoryError"),
     "ClosesAll": (doing(lambda _: os.closerange(3, 256)), "its process ended with exit status"),
+    "AnswersOften": (doing(answer_often), "its process sent an answer out of turn, where that of snapshot 6"),
+    "LeavesOrphan": (doing(leave_orphan_and_hang), NO_ANSWER),
+    "EatsInChildren": (doing(eat_memory_in_children), "of memory, the limit is 0.75 GiB"),
+    "Prints": (doing(print_much), "its process ended with exit status 6"),
     "Garbage": (doing(lambda _: write_everywhere(b"\xffgarbage" * 100)), "its process sent what is no answer"),
     "Pickle": (doing(lambda _: write_everywhere(len(EVIL).to_bytes(8, "little") + EVIL)), "its process sent"),
     "NotFinite": (answering(pose=np.full(6, np.nan)), "pose is not finite, snapshot 5"),
@@ -242,18 +278,40 @@ class Mutates(Good):
         return dataclasses.replace(answer, pose=self.buffer, covariance=self.before)
 
 
+class Foresees(Good):
+    """Says that it needs the future, and looks whether all of it is there."""
+
+    requires_future = True
+
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        super().start(setup, rng)
+        assert setup.future is not None
+        self.left = list(setup.future)
+
+    def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Any:
+        dt, velocity, seen = self.left.pop(0)
+        assert (dt, seen.index) == (dt_s, snapshot.index)
+        assert np.array_equal(velocity, odometry)
+        return super().step(dt_s, odometry, snapshot)
+
+    def remarks(self) -> list[str]:
+        return [f"{len(self.left)} left"]
+
+
 class Peeks(Good):
-    """Looks for the truth in all that its process holds."""
+    """Looks for the truth and the future in all that its process holds."""
 
     def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Any:
         import gc
 
         from cellslam.sim.recording import Recording
 
-        held = [one for one in gc.get_objects() if isinstance(one, Recording)] if snapshot.index == NOW else []
-        if any(one.truth is not None or one.provenance for one in held):
+        held = gc.get_objects() if snapshot.index == NOW else []
+        if any(isinstance(one, Recording) for one in held):
             raise RuntimeError("the truth is here")
+        if any(isinstance(one, Snapshot) and one.index > NOW for one in held):
+            raise RuntimeError("the future is here")
         return super().step(dt_s, odometry, snapshot)
 
 
-HARMLESS = ("Patches", "Disturbs", "Mutates", "Peeks")
+HARMLESS = ("Patches", "Disturbs", "Mutates", "Peeks", "Foresees")

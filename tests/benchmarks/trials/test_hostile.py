@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from cellslam.benchmarks import run as run_trials
@@ -23,22 +24,26 @@ from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.benchmarks.trials.trials import score_recording
 from cellslam.cli.main import main
 from cellslam.scenarios.estimator_options import Request, external_request
+from cellslam.scenarios.external_options import requests
 from cellslam.sim.recording import Recording
+from cellslam.sim.supervisor import MOST_PRINTED
+from cellslam.slam.registry import BrokenPluginError
 from tests.benchmarks.trials import hostile_estimators as hostile
 from tests.short_drive import SET, SHORT
 
 MODULE = "misfits"
-LIMITS = Limits(2.5, 3 * 2**29)
+LIMITS = Limits(5.0, 3 * 2**29)
 # Of all those in the module, the ones that are driven through the commands; and those that need their process to end.
 COMMANDS = ("Surrogate", "NoWords", "Long", "OwnBase", "Exits", "Garbage", "Far", "TwoDimensionalIds")
 PROCESSES = (
-    *("Notes", "Interrupts", "SystemExits", "Segfaults", "LeavesChild", "Hangs", "HangsInC"),
+    *("Notes", "Interrupts", "SystemExits", "Segfaults", "LeavesChild", "LeavesOrphan", "Hangs", "HangsInC"),
+    *("AnswersOften", "Prints"),
     *("EatsMemory", "ClosesAll", "Pickle", "Constructor", "HangsAtStart", "WarmUpExits"),
 )
 
 
 WORDS = {name: message for name, (_, message) in hostile.ODD.items()}
-ANSWERS = [name for name in WORDS if name not in (*COMMANDS, *PROCESSES)]
+ANSWERS = [name for name in WORDS if name not in (*COMMANDS, *PROCESSES, "EatsInChildren")]
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +118,11 @@ def test_in_sweep(place: Path, executor: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PROCESSES)
 def test_a_process_that_ends_or_hangs(
-    place: Path, external: ExternalProcesses, toy_recording: Callable[..., Recording], name: str
+    place: Path,
+    external: ExternalProcesses,
+    toy_recording: Callable[..., Recording],
+    capfd: pytest.CaptureFixture[str],
+    name: str,
 ) -> None:
     asked_for = [external_request(f"{MODULE}:{one}", None, False) for one in (name, "Good")]
     bad, good = score_recording(toy_recording(), "toy", asked_for, 0, 0, external=external).outcomes
@@ -121,6 +130,11 @@ def test_a_process_that_ends_or_hangs(
     assert bad.lost == ("its process" in WORDS[name] or "no answer" in WORDS[name])
     assert good.row["status"] == "ok", good.row["error"]
     assert not Path("pickled").exists()
+    if name == "LeavesOrphan" and sys.platform == "linux":
+        assert not psutil.pid_exists(int(Path("orphan").read_text()))
+    if name == "Prints" and sys.platform == "linux":
+        printed = capfd.readouterr().err
+        assert printed.endswith("last words") and len(printed) < 1.1 * MOST_PRINTED
 
 
 @pytest.mark.parametrize("name", ANSWERS)
@@ -128,6 +142,32 @@ def test_an_answer_that_is_none(toy_recording: Callable[..., Recording], name: s
     (outcome,) = score_recording(toy_recording(), "toy", [Request(name, getattr(hostile, name), None)], 0, 0).outcomes
     assert outcome.row["status"] == "failed" and WORDS[name] in outcome.row["error"], outcome.row["error"]
     assert not outcome.lost
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells what other processes hold")
+def test_the_memory_of_all_that_a_process_starts_counts(place: Path, toy_recording: Callable[..., Recording]) -> None:
+    asked_for = external_request(f"{MODULE}:EatsInChildren", None, False)
+    with ExternalProcesses(Limits(60.0, 3 * 2**28), one_thread=True) as external:
+        (bad,) = score_recording(toy_recording(), "toy", [asked_for], 0, 0, external=external).outcomes
+    assert WORDS["EatsInChildren"] in bad.row["error"], bad.row["error"]
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_who_says_that_it_needs_the_future_gets_it(
+    place: Path, external: ExternalProcesses, toy_recording: Callable[..., Recording], apart: bool
+) -> None:
+    asked_for = external_request(f"{MODULE}:Foresees", None, False) if apart else Request("F", hostile.Foresees, None)
+    (outcome,) = score_recording(toy_recording(), "toy", [asked_for], 0, 0, external=external).outcomes
+    assert outcome.row["status"] == "ok", outcome.row["error"]
+    assert outcome.result is not None and outcome.result.remarks == ("0 left",)
+
+
+def test_a_module_that_is_never_imported_costs_the_time_limit(place: Path) -> None:
+    (place / "deadlock.py").write_text("import threading; threading.Event().wait()")
+    (request,) = requests({}, ["deadlock:X"], limit_s=1.5)
+    with pytest.raises(BrokenPluginError, match=r"its module cannot be imported: no answer in 1.5 s"):
+        request.estimator(None)
 
 
 def test_no_more_processes_than_allowed(
