@@ -1,6 +1,7 @@
-"""How well measured paths and the odometry agree: each measurement is predicted from those of a moment before.
+"""How well measured paths agree with the odometry, or with a reference that has a yaw: each measurement is predicted
+from those of a moment before.
 
-A measurement z_j is one of its link's n measurements z_i of that moment, moved on by what the odometry says, or new:
+A measurement z_j is one of its link's n measurements z_i of that moment, moved on by what the other table says, or new:
 
     p(z_j) = w / n sum_i N(z_j - h(z_i, motion); 0, diag(sigma_m^2, sigma_rad^2)) + (1 - w) / area
 
@@ -15,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from cellslam.recordings.inspection.corrections import Correction, Drive
+from cellslam.recordings.inspection.corrections import Correction, Drive, Fixes
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording
 
@@ -23,6 +24,8 @@ STEP_M, TURN_RAD = 1.5, 0.15  # how far the vehicle comes, or turns, within the 
 MOVES = 16  # such steps or turns a drive must have: what moves less shows nothing
 LONGER = 6  # times as long, the longer lag: what is near moves against what is far
 LONGEST_S, LAGS = 30.0, 8  # a lag is no longer than this; and so many fit into the drive
+# A reference does not drift: two such long lags fit into the drive, which may be half as long.
+MOVES_KNOWN, LAGS_KNOWN = 8, 2
 PATHS = 40  # of a snapshot
 CANDIDATES = 8_000  # for a lag
 PAIRS = (40, 120)  # of snapshots
@@ -52,13 +55,16 @@ class Pairs:
 
 
 class PathEvidence:
-    """Log-likelihood of measurements, given those before and the odometry, over many pairs of moments of a drive."""
+    """Log-likelihood of measurements, given those before and the motion, over many pairs of moments of a drive.
 
-    name = "paths"
+    The motion is that of the odometry, or of a reference; over the long lags of a reference a path is foreseen by its
+    distance alone, so that clocks must be known.
+    """
 
-    def __init__(self, recording: Recording, drive: Drive) -> None:
-        """Raise ValueError where azimuths or motion are too few."""
-        m, self.drive, self.time_s = recording.measurements, drive, recording.time_s
+    def __init__(self, recording: Recording, drive: Drive, fixes: Fixes | None = None) -> None:
+        """`fixes`: the reference; None: odometry. Raises ValueError where azimuths, yaws or motion are too few."""
+        m, self.drive, self.fixes, self.time_s = recording.measurements, drive, fixes, recording.time_s
+        self.name = "paths" if fixes is None else "sightings"
         self.usable = ~np.isnan(m.azimuth_rad) & (~np.isnan(m.distance_m) | np.isnan(m.distance_m).all())
         if self.usable.sum() < FEWEST:
             raise ValueError
@@ -68,6 +74,10 @@ class PathEvidence:
         self.known = (recording.sites.clock_offset_std_m == 0.0)[recording.links.site][m.link] & self.ranged
         mean = recording.sites.clock_offset_mean_m[recording.links.site][m.link]
         self.distance = np.where(self.known, m.distance_m - mean, m.distance_m) if self.ranged else np.zeros(len(m))
+        if fixes is not None:
+            self.usable &= fixes.known(self.time_s)[m.snapshot]
+            if fixes.yaw_rad is None or self.usable.sum() < FEWEST or not self.known[self.usable].all():
+                raise ValueError
         area = np.ptp(self.azimuth[self.usable]) + 1e-3
         if self.ranged:
             area *= np.ptp(self.distance[self.usable]) + 1e-3
@@ -80,8 +90,16 @@ class PathEvidence:
         self._plain = [self._logs(pairs, Correction()) for pairs in self.lags]
 
     def effect_of(self, c: Correction) -> Correction:
-        """Return what a correction comes to between odometry and measurements."""
-        return c.effect("measurements", ("azimuth", "azimuth_zero_rad", "distance", "distance_zero_m"))
+        """Return what a correction comes to between measurements and odometry or reference."""
+        own = ("azimuth", "azimuth_zero_rad", "distance", "distance_zero_m")
+        if self.fixes is None:
+            return c.effect("measurements", own)
+        (x, y), (more_x, more_y) = c.reference_arm_m, c.measurements_arm_m
+        return Correction(
+            reference_late_s=c.reference_late_s - c.measurements_late_s,
+            reference_arm_m=(x + more_x, y + more_y),
+            **{field: getattr(c, field) for field in ("reference", "mirrored", *own)},
+        )
 
     def change(self, c: Correction) -> Floats:
         """Return by how much an effect raises the log-likelihood (n,); NaN outside of the drive."""
@@ -97,16 +115,24 @@ class PathEvidence:
         return np.asarray(found - (plain if same else self._logs(pairs, Correction(), inside)))
 
     def _lags(self) -> list[int]:
-        poses = self.drive.poses(self.time_s, Correction(), (0.0, 0.0))
-        self.progress = np.concatenate([[0.0], np.cumsum(_moves(poses))])
+        poses = self._poses(self.time_s, Correction())
+        known = self.fixes is not None
+        self.progress = np.concatenate([[0.0], np.cumsum(np.nan_to_num(_moves(poses)))])
         typical = self.progress[-1] / max(int((np.diff(self.progress) > 1e-6).sum()), 1)
         if typical <= 0.0:
             raise ValueError
-        longest = max(min(LONGEST_S / float(np.median(np.diff(self.time_s))), len(self.time_s) / LAGS), 1.0)
+        drifts = np.inf if known else LONGEST_S / float(np.median(np.diff(self.time_s)))
+        longest = max(min(drifts, len(self.time_s) / (LAGS_KNOWN if known else LAGS)), 1.0)
         lag = int(np.clip(round(1.0 / typical), 1, longest))
-        if _moves(poses[::lag]).sum() < MOVES:
+        if np.nansum(_moves(poses[::lag])) < (MOVES_KNOWN if known else MOVES):
             raise ValueError
         return sorted({lag, int(min(LONGER * lag, longest))})
+
+    def _poses(self, times: Floats, c: Correction, yaw_mirrored: bool = False) -> Floats:
+        """Return x, y (m) and yaw (rad), (..., 3), of the array at `times` (...,) in s after an effect; NaN outside."""
+        if self.fixes is None:
+            return self.drive.poses(times + c.odometry_late_s, c, c.odometry_arm_m)
+        return self.fixes.poses(times, c, yaw_mirrored)
 
     def _pairs(self, recording: Recording, lag: int) -> Pairs:
         m = recording.measurements
@@ -138,8 +164,14 @@ class PathEvidence:
 
     def _logs(self, pairs: Pairs, c: Correction, among: NDArray[np.bool_] | bool = True) -> Floats:
         """Return the log-likelihood (n,) of pairs of moments, in units as recorded; NaN outside of the drive."""
-        times = (pairs.before_s + c.odometry_late_s, pairs.after_s + c.odometry_late_s)
-        moved = _displacement(*(self.drive.poses(t, c, c.odometry_arm_m) for t in times))
+        if not c.mirrored:
+            return self._logs_of(pairs, c, among, False)
+        # Of a reference with x and y swapped the yaw may be right, or from north as well.
+        either = [self._logs_of(pairs, c, among, yaw_mirrored) for yaw_mirrored in (False, True)]
+        return max(either, key=lambda logs: float(np.nansum(logs)))
+
+    def _logs_of(self, pairs: Pairs, c: Correction, among: NDArray[np.bool_] | bool, yaw_mirrored: bool) -> Floats:
+        moved = _displacement(*(self._poses(t, c, yaw_mirrored) for t in (pairs.before_s, pairs.after_s)))
         inside = np.asarray(np.isfinite(moved).all(axis=1) & among)
         at = pairs.pair[pairs.at]
         range_error, azimuth_error = self._innovations(pairs, moved[at], c)

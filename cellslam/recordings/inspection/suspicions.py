@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellslam.benchmarks.scores.reference_fixes import usable
-from cellslam.recordings.inspection.corrections import Correction, Drive, dead_reckoned
+from cellslam.recordings.inspection.corrections import Correction, Drive, Fixes, dead_reckoned
 from cellslam.recordings.inspection.mistakes import DEGREE, EXPLANATIONS, Explanation
 from cellslam.recordings.inspection.path_evidence import PathEvidence
 from cellslam.recordings.inspection.trajectory_evidence import RangeEvidence, ReferenceEvidence
@@ -36,6 +36,7 @@ WORTHY = 0.5  # gain of a stretch that counts as much as any
 AS_WELL, NEARLY = 0.9, 0.8  # shares of another's gain
 TABLES = {
     "paths": "measured paths and odometry",
+    "sightings": "measured paths and reference",
     "reference": "reference and odometry",
     "ranges": "distances and odometry",
     "places": "distances and reference",
@@ -134,12 +135,12 @@ def start_against_odometry(recording: Recording) -> Iterator[Suspicion]:
     fixes = _fixes_of(recording)
     if fixes is None or np.isnan(recording.odometry[:, 0]).all():
         return
-    own = dead_reckoned(recording, fixes[0])[:, :2]
+    own = dead_reckoned(recording, fixes.time_s)[:, :2]
     travelled = np.cumsum(np.hypot(*np.diff(own, axis=0, prepend=own[:1]).T))
     end = int(np.searchsorted(travelled, START_M))
     if end == len(travelled):
         return
-    a, b = own[end] - own[0], fixes[1][end] - fixes[1][0]
+    a, b = own[end] - own[0], fixes.position_m[end] - fixes.position_m[0]
     turn = float(wrap_angle(np.arctan2(b[1], b[0]) - np.arctan2(a[1], a[0])))
     if abs(turn) > 0.75 * np.pi and np.hypot(*b) > 0.3 * START_M:
         yield Suspicion(
@@ -272,7 +273,9 @@ def _evidence_of(recording: Recording) -> list[Evidence]:
     if with_odometry:
         makers.append(lambda: PathEvidence(recording, drive))
     if with_odometry and fixes is not None:
-        makers.append(lambda: ReferenceEvidence(drive, *fixes))
+        makers.append(lambda: ReferenceEvidence(drive, fixes))
+    if fixes is not None and not without_angles:
+        makers.append(lambda: PathEvidence(recording, drive, fixes))
     if with_odometry and without_angles:
         makers.append(lambda: RangeEvidence(recording, drive, None))
     if without_angles and fixes is not None:
@@ -286,10 +289,13 @@ def _evidence_of(recording: Recording) -> list[Evidence]:
     return found
 
 
-def _fixes_of(recording: Recording) -> tuple[Floats, Floats] | None:
-    """Return times (R,) in s and places (R, 2) in m where the vehicle is known to have been, within the drive."""
+def _fixes_of(recording: Recording) -> Fixes | None:
+    """Return where the vehicle is known to have been, within the drive."""
     r = recording.reference
     if r is not None:
         rows = usable(recording, r)
-        return (r.time_s[rows], r.position_m[rows, :2]) if rows.sum() > 2 else None
-    return None if recording.truth is None else (recording.time_s, recording.truth.poses[:, :2])
+        yaw = r.yaw_rad[rows] if np.isfinite(r.yaw_rad[rows]).all() else None
+        return Fixes(r.time_s[rows], r.position_m[rows, :2], yaw) if rows.sum() > 2 else None
+    if recording.truth is None:
+        return None
+    return Fixes(recording.time_s, recording.truth.poses[:, :2], recording.truth.poses[:, 3])
