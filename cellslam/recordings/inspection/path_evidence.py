@@ -1,7 +1,7 @@
 """How well measured paths agree with the odometry, or with a reference that has a yaw: each measurement is predicted
-from those of a moment before.
+from those of moments before.
 
-A measurement z_j is one of its link's n measurements z_i of that moment, moved on by what the other table says, or new:
+A measurement z_j is one of its link's n measurements z_i of these, moved on by what the other table says, or new:
 
     p(z_j) = w / n sum_i N(z_j - h(z_i, motion); 0, diag(sigma_m^2, sigma_rad^2)) + (1 - w) / area
 
@@ -10,6 +10,7 @@ Which one it is, w and the sigmas are found with each correction by ROUNDS of ex
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,7 @@ STEP_M, TURN_RAD = 1.5, 0.15  # how far the vehicle comes, or turns, within the 
 MOVES = 16  # such steps or turns a drive must have: what moves less shows nothing
 LONGER = 6  # times as long, the longer lag: what is near moves against what is far
 LONGEST_S, LAGS = 30.0, 8  # a lag is no longer than this; and so many fit into the drive
-# A reference does not drift: two such long lags fit into the drive, which may be half as long.
+# A reference does not drift: lags double up to half of the drive, which may be half as long.
 MOVES_KNOWN, LAGS_KNOWN = 8, 2
 PATHS = 40  # of a snapshot
 CANDIDATES = 8_000  # for a lag
@@ -32,6 +33,7 @@ PAIRS = (40, 120)  # of snapshots
 FEWEST = 40
 ROUNDS = 4
 LEAST_STD_M, LEAST_STD_RAD = 0.02, 0.002
+ERROR, ERROR_KNOWN = 0.3, 0.05  # of a motion, with which the sigmas begin: of odometry and of a reference
 FAR_M = 1e6
 BLOCKS = 16
 WORTH = 5.0  # most measurements of a pair of moments that count: their errors are alike
@@ -39,14 +41,15 @@ WORTH = 5.0  # most measurements of a pair of moments that count: their errors a
 
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs of moments (n,) in s, and candidates among their measurements: row `first` (C,) may have become `second`.
+    """Moments (n,) in s, and candidates for their measurements: row `first` (C,) of an earlier moment, `before_s` (C,) in
+    s, may have become `second`.
 
-    `at` (C,): which of the G second measurements that is; `pair` (G,): to which moments it belongs; `share` (G,): one
+    `at` (C,): which of the G second measurements that is; `pair` (G,): to which moment it belongs; `share` (G,): one
     over the number of its candidates.
     """
 
-    before_s: Floats
     after_s: Floats
+    before_s: Floats
     first: Ints
     second: Ints
     at: Ints
@@ -82,11 +85,11 @@ class PathEvidence:
         if self.ranged:
             area *= np.ptp(self.distance[self.usable]) + 1e-3
         self.area = float(area)
-        self.lags = [pairs for lag in self._lags() if len((pairs := self._pairs(recording, lag)).pair)]
+        self.lags = [pairs for lags in self._lags() if len((pairs := self._pairs(recording, lags)).pair)]
         if sum(len(pairs.pair) for pairs in self.lags) < FEWEST:
             raise ValueError
-        middle = np.concatenate([0.5 * (pairs.before_s + pairs.after_s) for pairs in self.lags])
-        self.block = ((middle - self.time_s[0]) / np.ptp(self.time_s) * BLOCKS).astype(np.int64)
+        moments = np.concatenate([pairs.after_s for pairs in self.lags])
+        self.block = ((moments - self.time_s[0]) / np.ptp(self.time_s) * BLOCKS).astype(np.int64)
         self._plain = [self._logs(pairs, Correction()) for pairs in self.lags]
 
     def effect_of(self, c: Correction) -> Correction:
@@ -114,7 +117,8 @@ class PathEvidence:
         same = bool((inside == np.isfinite(plain)).all())
         return np.asarray(found - (plain if same else self._logs(pairs, Correction(), inside)))
 
-    def _lags(self) -> list[int]:
+    def _lags(self) -> list[list[int]]:
+        """Return lags in snapshots, those by which moments before stand together in one prediction in one list."""
         poses = self._poses(self.time_s, Correction())
         known = self.fixes is not None
         self.progress = np.concatenate([[0.0], np.cumsum(np.nan_to_num(_moves(poses)))])
@@ -126,7 +130,9 @@ class PathEvidence:
         lag = int(np.clip(round(1.0 / typical), 1, longest))
         if np.nansum(_moves(poses[::lag])) < (MOVES_KNOWN if known else MOVES):
             raise ValueError
-        return sorted({lag, int(min(LONGER * lag, longest))})
+        if known:
+            return [[lag * 2**k for k in range(int(np.log2(longest / lag)) + 1)]]
+        return [[each] for each in sorted({lag, int(min(LONGER * lag, longest))})]
 
     def _poses(self, times: Floats, c: Correction, yaw_mirrored: bool = False) -> Floats:
         """Return x, y (m) and yaw (rad), (..., 3), of the array at `times` (...,) in s after an effect; NaN outside."""
@@ -134,28 +140,27 @@ class PathEvidence:
             return self.drive.poses(times + c.odometry_late_s, c, c.odometry_arm_m)
         return self.fixes.poses(times, c, yaw_mirrored)
 
-    def _pairs(self, recording: Recording, lag: int) -> Pairs:
-        m = recording.measurements
-        count = len(self.time_s) - lag
+    def _pairs(self, recording: Recording, lags: Sequence[int]) -> Pairs:
+        m, first = recording.measurements, lags[0]
         each = np.bincount(m.snapshot[self.usable] * len(recording.links) + m.link[self.usable])
-        candidates = float((each.astype(np.float64) ** 2).sum()) / len(self.time_s)
+        candidates = len(lags) * float((each.astype(np.float64) ** 2).sum()) / len(self.time_s)
         pairs = int(np.clip(CANDIDATES / max(candidates, 1e-9), *PAIRS))
-        even = np.linspace(self.progress[0], self.progress[count - 1], pairs)
-        chosen = np.unique(np.minimum(np.searchsorted(self.progress[:count], even), count - 1))
+        even = np.linspace(self.progress[first], self.progress[-1], pairs)
+        chosen = np.unique(np.clip(np.searchsorted(self.progress, even), first, len(self.time_s) - 1))
         rows = np.flatnonzero(self.usable)
         table = pd.DataFrame({"snapshot": m.snapshot[rows], "link": m.link[rows], "row": rows})
         table = table[table.groupby("snapshot").cumcount() < PATHS]
-        before = table[table["snapshot"].isin(chosen)]
-        after = table.assign(snapshot=table["snapshot"] - lag)
+        after = table[table["snapshot"].isin(chosen)]
+        before = pd.concat([table.assign(snapshot=table["snapshot"] + lag) for lag in lags])
         found = before.merge(after, on=["snapshot", "link"], suffixes=("_before", "_after"))
         found = found.sort_values(["row_after", "row_before"])
-        first, second = found["row_before"].to_numpy(), found["row_after"].to_numpy()
+        source, second = found["row_before"].to_numpy(), found["row_after"].to_numpy()
         targets, at, count_of = np.unique(second, return_inverse=True, return_counts=True)
-        moments, pair = np.unique(m.snapshot[targets] - lag, return_inverse=True)
+        moments, pair = np.unique(m.snapshot[targets], return_inverse=True)
         return Pairs(
-            before_s=self.time_s[moments],
-            after_s=self.time_s[moments + lag],
-            first=first,
+            after_s=self.time_s[moments],
+            before_s=self.time_s[m.snapshot[source]],
+            first=source,
             second=second,
             at=at,
             pair=pair,
@@ -171,21 +176,22 @@ class PathEvidence:
         return max(either, key=lambda logs: float(np.nansum(logs)))
 
     def _logs_of(self, pairs: Pairs, c: Correction, among: NDArray[np.bool_] | bool, yaw_mirrored: bool) -> Floats:
-        moved = _displacement(*(self._poses(t, c, yaw_mirrored) for t in (pairs.before_s, pairs.after_s)))
-        inside = np.asarray(np.isfinite(moved).all(axis=1) & among)
         at = pairs.pair[pairs.at]
-        range_error, azimuth_error = self._innovations(pairs, moved[at], c)
+        before, after = (self._poses(t, c, yaw_mirrored) for t in (pairs.before_s, pairs.after_s))
+        moved = _displacement(before, after[at])
+        inside = np.isfinite(moved).all(axis=1) & np.broadcast_to(among, len(pairs.after_s))[at]
+        range_error, azimuth_error = self._innovations(pairs, moved, c)
         # In units as recorded: a correction that shrinks what is recorded is not the better for it.
         jacobian = c.distance if self.ranged else 1.0
         typical = np.median(np.abs(moved[inside]), axis=0) if inside.any() else np.zeros(3)
-        std_m = max(0.3 * float(np.hypot(typical[0], typical[1])), 10 * LEAST_STD_M)
-        std_rad = max(0.3 * float(typical[2]), 0.05)
-        usable = inside[at]
-        range_error, azimuth_error = (np.where(usable, e, np.inf) for e in (range_error, azimuth_error))
+        error = ERROR if self.fixes is None else ERROR_KNOWN
+        std_m = max(error * float(np.hypot(typical[0], typical[1])), 10 * LEAST_STD_M)
+        std_rad = max(error * float(typical[2]), 0.05)
+        range_error, azimuth_error = (np.where(inside, e, np.inf) for e in (range_error, azimuth_error))
         found, seen = self._mixture(pairs, range_error, azimuth_error, (std_m, std_rad), jacobian)
-        total = np.bincount(pairs.pair, np.log(found), minlength=len(pairs.before_s))
+        total = np.bincount(pairs.pair, np.log(found), minlength=len(pairs.after_s))
         targets = np.bincount(pairs.pair, minlength=len(total))
-        return np.where(inside & seen, total * np.minimum(1.0, WORTH / np.maximum(targets, 1)), np.nan)
+        return np.where(seen, total * np.minimum(1.0, WORTH / np.maximum(targets, 1)), np.nan)
 
     def _innovations(self, pairs: Pairs, moved: Floats, c: Correction) -> tuple[Floats, Floats]:
         """Return second minus predicted distances and azimuths (C,) in m and rad, after `moved` (C, 3)."""
@@ -211,7 +217,7 @@ class PathEvidence:
         e, a = range_error**2, azimuth_error**2
         both = np.isfinite(e)
         share = pairs.share[pairs.at]
-        seen = np.bincount(pairs.pair[pairs.at], both, minlength=len(pairs.before_s)) > 0
+        seen = np.bincount(pairs.pair[pairs.at], both, minlength=len(pairs.after_s)) > 0
         alive = max(int(seen[pairs.pair].sum()), 1)
         for _ in range(ROUNDS):
             scale = jacobian / (np.sqrt(2.0 * np.pi) * std_rad)
