@@ -161,8 +161,8 @@ METRICS = (
     Metric("association_recall", "", "recall", 2, "share of measurements of a VT that were associated rightly",
            lambda s: s.associated[1], tables="trial trials suite"),
     Metric("nees_mean", "", "NEES", 2,
-           "mean normalised estimation error squared of the position: 2 where the claimed covariance is right; a reference "
-           "that states no deviation is taken as exact, and the value is then an upper limit",
+           "mean normalised estimation error squared of the position: 2 where the claimed covariance is right; a "
+           "reference that states no deviation is taken as exact, and the value is then an upper limit",
            lambda s: _over(np.mean, s.errors.squared[np.isfinite(s.errors.squared)]), "mean NEES (2 is right)",
            tables="trials suite report"),
     Metric("bound_position_rmse_m", "m", "bound", 2,

@@ -41,8 +41,8 @@ WORTH = 5.0  # most measurements of a pair of moments that count: their errors a
 
 @dataclass(frozen=True)
 class Pairs:
-    """Moments (n,) in s, and candidates for their measurements: row `first` (C,) of an earlier moment, `before_s` (C,) in
-    s, may have become `second`.
+    """Moments (n,) in s, and candidates for their measurements: row `first` (C,) of an earlier moment, `before_s` (C,)
+    in s, may have become `second`.
 
     `at` (C,): which of the G second measurements that is; `pair` (G,): to which moment it belongs; `share` (G,): one
     over the number of its candidates.

@@ -201,15 +201,18 @@ class Contradiction:
 def contradictions(recording: Recording) -> Iterator[Suspicion]:
     """Tables that contradict each other: the correction that explains them best, and others that do so as well.
 
-    It must gain surely in some evidence, and more there than what is nobody's mistake does.
+    It must gain surely in some evidence, and more there, or in all, than what is nobody's mistake does.
     """
     found = _ranked(_evidence_of(recording))
     small = [x for x in found if x.harmless]
 
     def grave(x: Contradiction) -> bool:
-        """Return whether it gains surely where nothing harmless gains nearly as much."""
+        """Return whether it gains surely, and nothing harmless gains nearly as much there or in all."""
         most = {e: max((o.gains[e].mean for o in small), default=-np.inf) for e in x.gains}
-        return not x.harmless and any(x.sure(e) and most[e] <= NEARLY * gain.mean for e, gain in x.gains.items())
+        alone = max((o.total for o in small), default=-np.inf) <= NEARLY * x.total
+        return not x.harmless and any(
+            x.sure(e) and (alone or most[e] <= NEARLY * gain.mean) for e, gain in x.gains.items()
+        )
 
     suspected = [x for x in found if grave(x)]
     best = sorted(suspected, key=lambda x: (x.total < AS_WELL * suspected[0].total, x.explanation.refined is not None))
