@@ -23,7 +23,11 @@ from cellslam.recordings.inspection.trajectory_evidence import RangeEvidence, Re
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording
 
-FASTEST_TURN = 2.5  # rad/s: faster than any road vehicle, for its upper decile
+# Half a turn a second, rad/s: faster than any vehicle turns in a tenth of its drive; as many degrees a second are slower
+# than its fastest turns, of which a hundredth is left out.
+FASTEST_TURN, FASTEST_SHARE, OUTLYING = np.pi, 0.1, 0.01
+WINDOW_S, FEWEST_WINDOWS = 1.0, 10  # over which a turn is averaged: headings that jitter are no turns
+OTHER_UNIT = 10.0  # a factor of yaw rates beyond it, or below one over it, is another unit
 LEAST_ANGLES = 50
 START_M = 15.0  # so much of the path shows in which direction a drive starts
 BACKWARDS = 0.8  # of the path: nobody drives so
@@ -90,14 +94,22 @@ def whole_distances(recording: Recording) -> Iterator[Suspicion]:
 
 def fast_turns(recording: Recording) -> Iterator[Suspicion]:
     """Yaw rates that no vehicle reaches: degrees that were taken for radians."""
-    rate = np.abs(recording.odometry[1:, 3])
-    rate = rate[np.isfinite(rate)]
-    if len(rate) and np.quantile(rate, 0.9) > FASTEST_TURN:
+    rate = _turn_rates(recording)
+    if len(rate) >= FEWEST_WINDOWS and (fast := np.quantile(rate, 1.0 - FASTEST_SHARE)) > FASTEST_TURN:
         yield Suspicion(
             "degrees-as-radians",
-            f"a tenth of the yaw rates u_psi exceed {np.quantile(rate, 0.9):.1f} rad/s, too fast for a vehicle: were "
-            'degrees taken for radians? say unit = "deg/s"',
+            f"a tenth of the yaw rates u_psi exceed {fast:.1f} rad/s, too fast for a vehicle: were degrees taken for "
+            'radians? say unit = "deg/s"',
         )
+
+
+def _turn_rates(recording: Recording) -> Floats:
+    """Return how fast the odometry turns (n,) in rad/s, without sign, averaged over windows of a second."""
+    rate, times = recording.odometry[1:, 3], recording.time_s
+    if np.isnan(rate).all():
+        return np.empty(0)
+    yaw = np.append(0.0, np.cumsum(np.nan_to_num(rate) * np.diff(times)))
+    return np.abs(np.diff(np.interp(np.arange(times[0], times[-1], WINDOW_S), times, yaw))) / WINDOW_S
 
 
 def yaw_of_reference(recording: Recording) -> Iterator[Suspicion]:
@@ -214,7 +226,8 @@ def contradictions(recording: Recording) -> Iterator[Suspicion]:
             x.sure(e) and (alone or most[e] <= NEARLY * gain.mean) for e, gain in x.gains.items()
         )
 
-    suspected = [x for x in found if grave(x)]
+    turns = _turn_rates(recording)
+    suspected = [x for x in found if grave(x) and _turns_like_a_vehicle(turns, abs(x.correction.yaw_rate))]
     best = sorted(suspected, key=lambda x: (x.total < AS_WELL * suspected[0].total, x.explanation.refined is not None))
     as_well = [x for x in best[1:] if x.total > AS_WELL * suspected[0].total and x.explanation.refined is None]
     for rank, x in enumerate([*best[:1], *as_well]):
@@ -223,6 +236,14 @@ def contradictions(recording: Recording) -> Iterator[Suspicion]:
             f"{TABLES[name]} (log-likelihood {g.mean:+.1f} a stretch)" for name, g in x.gains.items() if g.mean > 0.05
         )
         yield Suspicion(kind, f"{'or' if rank else 'it seems that'} {text}; then {tables} agree better")
+
+
+def _turns_like_a_vehicle(rates: Floats, factor: float) -> bool:
+    """Return whether turn rates (n,) in rad/s, if a factor makes them another unit, are then such as vehicles have."""
+    if 1.0 / OTHER_UNIT < factor < OTHER_UNIT or not len(rates):
+        return True
+    fast = factor * float(np.quantile(rates, 1.0 - OUTLYING))
+    return DEGREE * FASTEST_TURN < fast < FASTEST_TURN
 
 
 def _ranked(evidence: list[Evidence]) -> list[Contradiction]:
