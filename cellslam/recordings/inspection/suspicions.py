@@ -23,8 +23,8 @@ from cellslam.recordings.inspection.trajectory_evidence import RangeEvidence, Re
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording
 
-# Half a turn a second, rad/s: faster than any vehicle turns in a tenth of its drive; as many degrees a second are slower
-# than its fastest turns, of which a hundredth is left out.
+# Half a turn a second, rad/s: faster than any vehicle turns in a tenth of its drive; as many degrees a second are
+# slower than its fastest turns, of which a hundredth is left out.
 FASTEST_TURN, FASTEST_SHARE, OUTLYING = np.pi, 0.1, 0.01
 WINDOW_S, FEWEST_WINDOWS = 1.0, 10  # over which a turn is averaged: headings that jitter are no turns
 OTHER_UNIT = 10.0  # a factor of yaw rates beyond it, or below one over it, is another unit
