@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.recordings import Campaign, OdometryTable, ReferenceTable
+from cellslam.recordings.adapters.shared import simulated_odometry
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
 from cellslam.sim.recording import COMPONENTS, Recording
 
@@ -132,6 +133,28 @@ def places(seed: int) -> Campaign:
     seen = paths(vehicle, np.arange(0, len(vehicle), 20), sources, (0.3, np.radians(3.0)), 120.0, 0.8, 0.5, rng)
     wheels = odometry(vehicle, 20, (0.05, 0.03, 0.0, 0.0), rng)
     return campaign(vehicle, seen, wheels, (0.0, 0.0), (20, 0.02, True), rng)
+
+
+def few_places(seed: int) -> Campaign:
+    """A corner of a hall as 45 places half a metre apart, there and back, without a turn."""
+    rng = np.random.default_rng(seed)
+    along = 0.5 * np.arange(15)
+    x = np.concatenate([along, along[::-1], along])
+    vehicle = np.column_stack([x, np.repeat([0.0, 0.5, 1.0], 15), np.zeros(45)])
+    sources = np.column_stack([rng.uniform(-8, 16, 8), rng.uniform(-10, 12, 8)])
+    out = []
+    for i, (x_m, y_m, _) in enumerate(vehicle):
+        away = sources - (x_m, y_m)
+        noise = (0.2, 0.03) * rng.standard_normal((8, 2))
+        out.append(np.column_stack([np.full(8, float(i)), np.hypot(*away.T) + noise[:, 0],
+                                    np.arctan2(away[:, 1], away[:, 0]) + noise[:, 1]]))  # fmt: skip
+    times = np.arange(45.0)
+    wheels = simulated_odometry(times, vehicle[:, :2], vehicle[:, 2], (0.05, 0.05, 0.0, 0.02, 0.0, 0.0))
+    measured = np.concatenate(out).T
+    return Campaign(
+        measured[0], {"distance_m": measured[1], "azimuth_rad": wrap_angle(measured[2])}, wheels, plane=True,
+        reference=ReferenceTable(times, vehicle[:, :2], vehicle[:, 2]),
+    )  # fmt: skip
 
 
 def beacons(seed: int) -> Campaign:
@@ -319,6 +342,7 @@ WORLDS: dict[str, Callable[[int], Campaign]] = {
     "hall": hall,
     "hall with an arm": lambda seed: hall(seed, (1.5, -0.5)),
     "places": places,
+    "few places": few_places,
     "beacons": beacons,
     "rover": rover,
     "tubes": tubes,

@@ -45,27 +45,32 @@ def load(folder: Path, *, anchors: str = "known") -> Recording:
     """Return the recording of a folder; `anchors`: "known" to the estimators, or "unknown". Raises InputError."""
     if anchors not in ("known", "unknown"):
         raise InputError(f"anchors = '{anchors}': give 'known' or 'unknown'")
-    ranges = folder / "ranges.csv"
-    campaign, places = _tables(folder, ranges) if ranges.is_file() else _streams(folder)
-    return with_anchors(campaign, places if anchors == "known" else None)
+    tables = (folder / "ranges.csv").is_file()
+    campaign = _of_tables(folder) if tables else _of_streams(folder)
+    known = anchors == "known"
+    return with_anchors(campaign, (_anchors_of_table if tables else _anchors_of_survey)(folder) if known else None)
 
 
-def _tables(folder: Path, path: Path) -> tuple[Campaign, dict[str, Floats]]:
-    """Return the campaign of CSV tables and TUM trajectories, and the places (3,) of anchors by name."""
-    columns = named(path, RANGES, optional=("distance_std_m",))
-    surveyed = named(folder / "anchors.csv", ANCHORS)
-    places = np.column_stack([surveyed[axis] for axis in "xyz"])
+def _of_tables(folder: Path) -> Campaign:
+    """Return the campaign of CSV tables and TUM trajectories."""
+    columns = named(folder / "ranges.csv", RANGES, optional=("distance_std_m",))
     truth, odometry = folder / "groundtruth.tum", folder / "odometry.tum"
     return _campaign(
         folder, columns.pop("time_s"), columns.pop("id"), columns,
         pose_odometry(*trajectory(odometry)) if odometry.is_file() else None,
         trajectory(truth) if truth.is_file() else None,
-    ), dict(zip(surveyed["id"].tolist(), places, strict=True))  # fmt: skip
+    )  # fmt: skip
 
 
-def _streams(folder: Path) -> tuple[Campaign, dict[str, Floats]]:
-    """Return the campaign of a CSV file of event streams, and the places (3,) of anchors by name."""
-    path, survey = (_only(folder, pattern) for pattern in ("*.csv", "*.npz"))
+def _anchors_of_table(folder: Path) -> dict[str, Floats]:
+    """Return the places (3,) in m of anchors by name."""
+    table = named(folder / "anchors.csv", ANCHORS)
+    return dict(zip(table["id"].tolist(), np.column_stack([table[axis] for axis in "xyz"]), strict=True))
+
+
+def _of_streams(folder: Path) -> Campaign:
+    """Return the campaign of a CSV file of event streams."""
+    path = _only(folder, "*.csv")
     names = Head.of(path, "").names
     if "t_twr" not in names:
         what = "time differences of arrival (t_tdoa), which are no ranges" if "t_tdoa" in names else "no column t_twr"
@@ -79,13 +84,17 @@ def _streams(folder: Path) -> tuple[Campaign, dict[str, Floats]]:
     if "t_pose" in names:
         rows = increasing(_group(stream, POSE))
         truth = rows[:, 0], poses_of(path, rows[:, 1:4], rows[:, 4:])
-    with np.load(survey) as file:
-        if "an_pos" not in file:
-            raise InputError(f"{survey}: has no array 'an_pos' (it has: {', '.join(file)}); give the survey's own file")
-        places = np.asarray(file["an_pos"], np.float64)
     ident = np.array([str(int(each)) for each in number])
-    campaign = _campaign(folder, times, ident, {"distance_m": distance}, drift, truth)
-    return campaign, {str(i): place for i, place in enumerate(places)}
+    return _campaign(folder, times, ident, {"distance_m": distance}, drift, truth)
+
+
+def _anchors_of_survey(folder: Path) -> dict[str, Floats]:
+    """Return the places (3,) in m of anchors by their number."""
+    path = _only(folder, "*.npz")
+    with np.load(path) as file:
+        if "an_pos" not in file:
+            raise InputError(f"{path}: has no array 'an_pos' (it has: {', '.join(file)}); give the survey's own file")
+        return {str(i): place for i, place in enumerate(np.asarray(file["an_pos"], np.float64))}
 
 
 def _campaign(
