@@ -61,6 +61,13 @@ def pose_odometry(time_s: Floats, poses: Floats) -> OdometryTable:
     return OdometryTable(time_s[1:], dict(zip(COMPONENTS, u.T, strict=True)), "before")
 
 
+def are_known(anchors: str) -> bool:
+    """Return what the option `anchors` of an adapter says: "known" or "unknown". Raises InputError."""
+    if anchors not in ("known", "unknown"):
+        raise InputError(f"anchors = '{anchors}': give 'known' or 'unknown'")
+    return anchors == "known"
+
+
 def with_anchors(campaign: Campaign, anchors: Mapping[str, Floats] | None) -> Recording:
     """Return the recording of a campaign in which estimators know where the sites stand, by name (3,) in m.
 

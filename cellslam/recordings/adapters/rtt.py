@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellslam.recordings.adapters.anchored import named, pose_odometry, with_anchors
+from cellslam.recordings.adapters.anchored import are_known, named, pose_odometry, with_anchors
 from cellslam.recordings.adapters.shared import increasing
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.odometry import OdometryTable
@@ -51,8 +51,7 @@ def load(folder: Path, *, anchors: str = "known", clock_offset_std_m: float = 0.
     `anchors`: "known" to the estimators, or "unknown". `clock_offset_std_m`: deviation of the unknown clock offset of
     each anchor in m, for one-way delays; 0: there and back.
     """
-    if anchors not in ("known", "unknown"):
-        raise InputError(f"anchors = '{anchors}': give 'known' or 'unknown'")
+    known = are_known(anchors)
     if not clock_offset_std_m >= 0.0:
         raise InputError(f"clock_offset_std_m = {clock_offset_std_m}: give 0 m or more")
     path = folder / "ranges.csv"
@@ -61,21 +60,21 @@ def load(folder: Path, *, anchors: str = "known", clock_offset_std_m: float = 0.
     good &= columns.pop("status", np.zeros(len(good))) == 0.0
     if not good.any():
         raise InputError(f"{path}: no row has a distance above zero and status 0: nothing was measured")
-    names = sorted(set(columns["id"][good].tolist()))
+    names, link = np.unique(columns["id"][good], return_inverse=True)
     odometry, truth = _odometry(folder / "odometry.csv"), folder / "reference.csv"
     campaign = Campaign(
         time_s=columns["time_s"][good],
         columns={name: columns[name][good] for name in ("distance_m", "distance_std_m") if name in columns},
-        link=np.array([names.index(name) for name in columns["id"][good].tolist()], np.int64),
-        link_sites=names,
-        site_offsets=dict.fromkeys(names, (0.0, clock_offset_std_m)),
+        link=link,
+        link_sites=names.tolist(),
+        site_offsets=dict.fromkeys(names.tolist(), (0.0, clock_offset_std_m)),
         odometry=odometry,
         noise=WALKS if odometry is None else SHEET,
         start_pose=None if truth.is_file() else (0.0,) * 6,
         reference=_reference(truth) if truth.is_file() else None,
         about={"campaign": "ranges", "description": folder.name},
     )
-    return with_anchors(campaign, _surveyed(folder / "anchors.csv") if anchors == "known" else None)
+    return with_anchors(campaign, _surveyed(folder / "anchors.csv") if known else None)
 
 
 def _surveyed(path: Path) -> dict[str, Floats]:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.recordings.adapters.anchored import named, pose_odometry, poses_of, trajectory, with_anchors
+from cellslam.recordings.adapters.anchored import are_known, named, pose_odometry, poses_of, trajectory, with_anchors
 from cellslam.recordings.adapters.shared import increasing
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.manifest import FileTable
@@ -43,11 +43,8 @@ MOVES = {"noise_density": (0.5, 0.5, 0.2, 0.02, 0.0, 0.0), "bias": (0.0, 0.0, 0.
 
 def load(folder: Path, *, anchors: str = "known") -> Recording:
     """Return the recording of a folder; `anchors`: "known" to the estimators, or "unknown". Raises InputError."""
-    if anchors not in ("known", "unknown"):
-        raise InputError(f"anchors = '{anchors}': give 'known' or 'unknown'")
-    tables = (folder / "ranges.csv").is_file()
+    known, tables = are_known(anchors), (folder / "ranges.csv").is_file()
     campaign = _of_tables(folder) if tables else _of_streams(folder)
-    known = anchors == "known"
     return with_anchors(campaign, (_anchors_of_table if tables else _anchors_of_survey)(folder) if known else None)
 
 
@@ -102,13 +99,13 @@ def _campaign(
     truth: tuple[Floats, Floats] | None,
 ) -> Campaign:  # fmt: skip
     """Return the campaign of ranges (M,); `truth`: times (R,) and poses (R, 6)."""
-    names = sorted(set(ident.tolist()), key=lambda name: (len(name), name))
+    names, link = np.unique(ident, return_inverse=True)
     moves = odometry is not None and "u_x" in odometry.components
     return Campaign(
         time_s=time_s,
         columns=columns,
-        link=np.array([names.index(name) for name in ident.tolist()], np.int64),
-        link_sites=names,
+        link=link,
+        link_sites=names.tolist(),
         odometry=odometry,
         noise=SHEET if moves else MOVES,
         start_pose=(0.0,) * 6 if truth is None else None,

@@ -109,7 +109,8 @@ def _turn_rates(recording: Recording) -> Floats:
     if np.isnan(rate).all():
         return np.empty(0)
     yaw = np.append(0.0, np.cumsum(np.nan_to_num(rate) * np.diff(times)))
-    return np.abs(np.diff(np.interp(np.arange(times[0], times[-1], WINDOW_S), times, yaw))) / WINDOW_S
+    turned = np.diff(np.interp(np.arange(times[0], times[-1], WINDOW_S), times, yaw))
+    return np.asarray(np.abs(turned) / WINDOW_S)
 
 
 def yaw_of_reference(recording: Recording) -> Iterator[Suspicion]:
