@@ -75,7 +75,7 @@ def test_an_arm_of_the_reference_points_to_the_array() -> None:
     right = worlds.hall(101)
     assert right.reference is not None
     behind = worlds.at_arm(np.column_stack([right.reference.position_m, right.reference.yaw_rad]), (-2.0, 0.0))
-    moved = dataclasses.replace(right.reference, position_m=behind[:, :2])
+    moved = dataclasses.replace(right.reference, position_m=behind[:, :2], yaw_rad=None)
     found = suspicions(build(dataclasses.replace(right, reference=moved)))
     arm = re.search(r"reference.lever_arm_m = \[(\S+), ", " ".join(s.text for s in found))
     assert arm is not None and float(arm[1]) == pytest.approx(2.0, abs=0.3)
