@@ -96,6 +96,7 @@ def _without_say(recording: Recording, result: TrialResult) -> str:
         return "there are none"
     if not sheet.any():
         return "the odometry's data sheet says that it never errs: give its errors (noise.u_x, noise.u_psi)"
-    if result.association is not None and (result.association < 0).all():
-        return f"it took all {len(m)} for clutter: they err by more than it assumes, or are too few to confirm a VT"
+    clutter = 0 if result.association is None else int((result.association < 0).sum())
+    if 2 * clutter > len(m):
+        return f"it took {clutter} of {len(m)} for clutter: they err by more than it assumes, or are too few for a VT"
     return "they weigh nothing beside the odometry: its data sheet is too tight, or they are assumed far too inaccurate"

@@ -60,8 +60,8 @@ class Pairs:
 class PathEvidence:
     """Log-likelihood of measurements, given those before and the motion, over many pairs of moments of a drive.
 
-    The motion is that of the odometry, or of a reference; over the long lags of a reference a path is foreseen by its
-    distance alone, so that clocks must be known.
+    The motion is that of the odometry, or of a reference. Over the long lags of a reference a path is predicted from
+    where its source is, so that clocks must be known.
     """
 
     def __init__(self, recording: Recording, drive: Drive, fixes: Fixes | None = None) -> None:
