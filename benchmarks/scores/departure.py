@@ -22,6 +22,7 @@ WINDOW_S = 10.0
 TOO_FAR = 2.0  # root mean square from which a departure is said
 PLANAR = [0, 1, 3]  # x, y and yaw of a pose
 SMALLEST = 1e-12  # variance
+SAME_M = 1e-3  # positions that differ by no more were changed by nothing that was measured
 
 
 def departure(recording: Recording, result: TrialResult) -> float:
@@ -62,19 +63,40 @@ def _carried_on(recording: Recording, pose: Floats, covariance: Floats, first: i
     return pose, s + by_bias * bias**2 @ by_bias.T + by_scale * scale**2 @ by_scale.T
 
 
-def worse_than_odometry(recording: Recording, result: TrialResult, alone: TrialResult) -> list[str]:
+def worse_than_odometry(
+    recording: Recording, result: TrialResult, alone: TrialResult, fitted: bool = False
+) -> list[str]:
     """Return lines that say why an estimate is not to be trusted; none where nothing speaks against it.
 
-    `recording` has the data sheet that the estimator assumes; `alone`: what dead reckoning makes of it.
+    `recording` has the data sheet that the estimator assumes, `fitted` if it was learnt from the recording; `alone`:
+    what dead reckoning makes of it.
     """
     out, name = [], result.estimator
+    if len(recording.time_s) > 1 and np.abs(result.poses - alone.poses)[:, :2].max() < SAME_M:
+        why = _without_say(recording, result)
+        return [f"{name} is dead reckoning to the millimetre: the measurements changed nothing, since {why}"]
     own, other = (score(recording, each, None)["position_rmse_m"] for each in (result, alone))
     if own is not None and other is not None and own > other:
         out.append(f"{name}: {own:.2f} m is worse than odometry alone, {other:.2f} m")
     away = departure(recording, result)
     if away > TOO_FAR:
+        learn = "" if fitted else " (--fit learns it)"
         out.append(
             f"{name} departs from the odometry by {away:.1f} times what the data sheet and its own deviations allow: "
-            "it is wrong, or the data sheet is too tight (--fit learns it)"
+            f"it is wrong, or the data sheet is too tight{learn}"
         )
     return out
+
+
+def _without_say(recording: Recording, result: TrialResult) -> str:
+    """Return why the measurements of a drive changed nothing in an estimate, with the remedy."""
+    m, model = recording.measurements, recording.odometry_model
+    sheet = np.array([model.noise_density, model.bias, model.bias_walk_density, model.scale])[:, PLANAR]
+    if not len(m):
+        return "there are none"
+    if not sheet.any():
+        return "the odometry's data sheet says that it never errs: give its errors (noise.u_x, noise.u_psi)"
+    clutter = 0 if result.association is None else int((result.association < 0).sum())
+    if 2 * clutter > len(m):
+        return f"it took {clutter} of {len(m)} for clutter: they err by more than it assumes, or are too few for a VT"
+    return "they weigh nothing beside the odometry: its data sheet is too tight, or they are assumed far too inaccurate"

@@ -161,7 +161,8 @@ METRICS = (
     Metric("association_recall", "", "recall", 2, "share of measurements of a VT that were associated rightly",
            lambda s: s.associated[1], tables="trial trials suite"),
     Metric("nees_mean", "", "NEES", 2,
-           "mean normalised estimation error squared of the position: 2 where the claimed covariance is right",
+           "mean normalised estimation error squared of the position: 2 where the claimed covariance is right; a "
+           "reference that states no deviation is taken as exact, and the value is then an upper limit",
            lambda s: _over(np.mean, s.errors.squared[np.isfinite(s.errors.squared)]), "mean NEES (2 is right)",
            tables="trials suite report"),
     Metric("bound_position_rmse_m", "m", "bound", 2,
@@ -215,8 +216,8 @@ def score(recording: Recording, result: TrialResult, bound: BoundResult | None) 
 def reference_errors(recording: Recording, reference: Reference, result: TrialResult) -> Errors:
     """Return the errors against a reference: of the estimate at its times, where they lie within the drive.
 
-    `reference_fixes` says which positions are left out. The NEES adds the reference's variance to the claimed one, and
-    is missing where the reference does not state its own.
+    `reference_fixes` says which positions are left out. The NEES adds the reference's variance to the claimed one; a
+    reference that does not state its own is taken as exact, so that the NEES is rather too large than too small.
     """
     rows = within(recording, reference) & ~unled(recording, reference)
     if not rows.any():
@@ -224,13 +225,12 @@ def reference_errors(recording: Recording, reference: Reference, result: TrialRe
     poses = at_fixes(recording, reference, rows, result.poses)
     known = np.column_stack([reference.position_m[rows], reference.yaw_rad[rows]])
     there, turned = usable(recording, reference)[rows], np.isfinite(known[:, 3])
-    std = reference.position_std_m[rows]
-    sure = there & ~np.isnan(std)
+    std = np.nan_to_num(reference.position_std_m[rows])
     claimed = covariances_at_fixes(recording, reference, rows, result.poses, result.covariances)
     claimed = claimed + (std**2)[:, None, None] * np.eye(6)
     return Errors(
         horizontal_error(known[there], poses[there]), wrap_angle(poses[turned, 3] - known[turned, 3]),
-        nees(known[sure], poses[sure], claimed[sure]),
+        nees(known[there], poses[there], claimed[there]),
     )  # fmt: skip
 
 

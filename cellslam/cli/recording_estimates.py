@@ -61,9 +61,9 @@ def assumed_by(
 
 def estimates_by(
     arguments: Namespace, recording: Recording, path: Path, names: Sequence[str]
-) -> tuple[Recording, list[TrialResult]]:
-    """Return the recording with the data sheet that its estimators assume, and what each of `names` makes of it, as
-    `cellslam replay` of the file does. Raises InputError where one fails.
+) -> tuple[Recording, list[TrialResult], bool]:
+    """Return the recording with the data sheet that its estimators assume, what each of `names` makes of it, as
+    `cellslam replay` of the file does, and whether the sheet was to be learnt. Raises InputError where one fails.
     """
     origin = origin_by(arguments, recording, path)
     seed = origin.seed if arguments.seed is None else arguments.seed
@@ -77,17 +77,17 @@ def estimates_by(
             if outcome.result is None:
                 raise InputError(f"--estimator {request.name} failed on {path}: {outcome.row['error']}")
             results.append(outcome.result)
-    return recording, results
+    return recording, results, given.fitted
 
 
-def doubts(recording: Recording, results: Sequence[TrialResult]) -> dict[str, list[str]]:
+def doubts(recording: Recording, results: Sequence[TrialResult], fitted: bool) -> dict[str, list[str]]:
     """Return by estimator what speaks against its estimate (`worse_than_odometry`).
 
-    `recording` has the data sheet that estimators assume.
+    `recording` has the data sheet that estimators assume, which was to be learnt if `fitted`.
     """
     (request,) = resolve({}, (ALONE,), ())
     alone = estimate(recording, request, np.random.default_rng(0))
-    return {r.estimator: worse_than_odometry(recording, r, alone) for r in results if r.estimator != ALONE}
+    return {r.estimator: worse_than_odometry(recording, r, alone, fitted) for r in results if r.estimator != ALONE}
 
 
 def _options_of(path: Path) -> Iterator[tuple[str, Any]]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.recordings import Campaign, OdometryTable, ReferenceTable
+from cellslam.recordings.adapters.shared import simulated_odometry
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
 from cellslam.sim.recording import COMPONENTS, Recording
 
@@ -134,6 +135,28 @@ def places(seed: int) -> Campaign:
     return campaign(vehicle, seen, wheels, (0.0, 0.0), (20, 0.02, True), rng)
 
 
+def few_places(seed: int) -> Campaign:
+    """A corner of a hall as 45 places half a metre apart, there and back, without a turn."""
+    rng = np.random.default_rng(seed)
+    along = 0.5 * np.arange(15)
+    x = np.concatenate([along, along[::-1], along])
+    vehicle = np.column_stack([x, np.repeat([0.0, 0.5, 1.0], 15), np.zeros(45)])
+    sources = np.column_stack([rng.uniform(-8, 16, 8), rng.uniform(-10, 12, 8)])
+    out = []
+    for i, (x_m, y_m, _) in enumerate(vehicle):
+        away = sources - (x_m, y_m)
+        noise = (0.2, 0.03) * rng.standard_normal((8, 2))
+        out.append(np.column_stack([np.full(8, float(i)), np.hypot(*away.T) + noise[:, 0],
+                                    np.arctan2(away[:, 1], away[:, 0]) + noise[:, 1]]))  # fmt: skip
+    times = np.arange(45.0)
+    wheels = simulated_odometry(times, vehicle[:, :2], vehicle[:, 2], (0.05, 0.05, 0.0, 0.02, 0.0, 0.0))
+    measured = np.concatenate(out).T
+    return Campaign(
+        measured[0], {"distance_m": measured[1], "azimuth_rad": wrap_angle(measured[2])}, wheels, plane=True,
+        reference=ReferenceTable(times, vehicle[:, :2], vehicle[:, 2]),
+    )  # fmt: skip
+
+
 def beacons(seed: int) -> Campaign:
     """Distances alone to four beacons that are polled in turn, odometry at 5 Hz."""
     rng = np.random.default_rng(seed)
@@ -148,6 +171,38 @@ def beacons(seed: int) -> Campaign:
     wheels = odometry(vehicle, 4, (0.05, 0.01, 0.002, 0.02), rng)
     more = {"columns": {"distance_m": d}, "link": link, "link_sites": ("a", "b", "c", "d")}
     return campaign(vehicle, (STEP_S * rows, d, d), wheels, (0.0, 0.0), (4, 0.05, False), rng, **more)
+
+
+def commanded(odometry: OdometryTable, lag_s: float, slip: float, rng: np.random.Generator) -> OdometryTable:
+    """Odometry that is commanded: the vehicle follows `lag_s` later, and slips by a share that changes every 10 s."""
+    times = np.asarray(odometry.time_s)
+    share = 1.0 + slip * rng.standard_normal((2, int(times[-1] / 10.0) + 1))[:, (times / 10.0).astype(int)]
+    u = {name: np.asarray(u) * share[i] for i, (name, u) in enumerate(odometry.components.items())}
+    return replace(odometry, time_s=times - lag_s, components=u)
+
+
+def rover(seed: int) -> Campaign:
+    """A small robot drives by commands for less than a minute, and ranges to four anchors."""
+    rng = np.random.default_rng(seed)
+    vehicle = way_through(rng.uniform(0.0, 8.0, (6, 2)), 0.4, 0.6, 50.0)
+    sites = np.array([[-1.0, -1.0], [9.0, -1.0], [9.0, 9.0], [-1.0, 9.0]])
+    rows = np.arange(20, len(vehicle) - 20, 2)
+    link = np.arange(len(rows)) % 4
+    d = 1.02 * np.hypot(*(sites[link] - vehicle[rows, :2]).T) + 0.1 + 0.1 * rng.standard_normal(len(rows))
+    wheels = commanded(odometry(vehicle, 2, (0.03, 0.08, 0.02, 0.03), rng), 0.3, 0.08, rng)
+    more = {"columns": {"distance_m": d}, "link": link, "link_sites": ("a", "b", "c", "d")}
+    return campaign(vehicle, (STEP_S * rows, d, d), wheels, (0.0, 0.0), (2, 0.005, True), rng, **more)
+
+
+def tubes(seed: int) -> Campaign:
+    """A small robot drives by commands among fifteen tubes, and sees those before it: range and bearing."""
+    rng = np.random.default_rng(seed)
+    vehicle = way_through(np.column_stack([rng.uniform(1, 14, 12), rng.uniform(1, 7, 12)]), 0.15, 0.4, 300.0)
+    sources = np.column_stack([rng.uniform(0, 15, 15), rng.uniform(0, 8, 15)])
+    rows = np.arange(20, len(vehicle) - 20, 8)
+    t, d, a = paths(vehicle, rows, sources, (0.08, np.radians(1.0)), 5.0, 0.3, 0.02, rng, True)
+    wheels = commanded(odometry(vehicle, 2, (0.03, 0.05, 0.005, 0.03), rng), 0.3, 0.1, rng)
+    return campaign(vehicle, (t, 1.02 * d, a), wheels, (0.0, 0.0), (2, 0.002, True), rng)
 
 
 def trees(seed: int, arm: tuple[float, float] = (3.8, 0.5), noise: float = 1.0) -> Campaign:
@@ -287,7 +342,10 @@ WORLDS: dict[str, Callable[[int], Campaign]] = {
     "hall": hall,
     "hall with an arm": lambda seed: hall(seed, (1.5, -0.5)),
     "places": places,
+    "few places": few_places,
     "beacons": beacons,
+    "rover": rover,
+    "tubes": tubes,
     "trees": trees,
     "trees by bad odometry": lambda seed: trees(seed, noise=2.0),
     "cellular": cellular,

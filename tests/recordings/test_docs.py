@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -67,3 +68,40 @@ def test_every_column_and_format_is_on_the_page() -> None:
     assert [name for name in sorted(names) if name not in PAGE] == []
     assert [column.path for column in COLUMNS if f"`{column.path}`" not in PAGE] == []
     assert [kind for kind in EXPORTS if f"`{kind}`" not in PAGE] == []
+
+
+KIND = (DOCS / "how-to" / "your-own-kind-of-data.md").read_text("utf-8")
+CHANGES = re.findall(r"^\| (.*?) \| `(.*?)` \| (?:`(.*?)`)? ?\|$", KIND, re.M)
+
+
+@pytest.mark.parametrize(("data", "line", "becomes"), [("the page's own", "", ""), *CHANGES])
+def test_any_kind_of_data(data: str, line: str, becomes: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The adapter of the page, and what becomes of it with other data, imports a drive along two masts."""
+    code = re.findall(r"```python\n(.*?)```", KIND, re.S)[0]
+    assert len(code[code.index("def load") :].strip().splitlines()) <= 20
+    one = data.startswith(("nothing tells", "one clock"))
+    if one:  # one site has one place
+        code = code.replace(CHANGES[0][1], CHANGES[0][2])
+    assert code.count(line) >= 1
+    t, place = np.repeat(0.5 * np.arange(40), 2), np.tile([[30.0, 8.0], [40.0, -9.0]], (40, 1))
+    away = place - np.column_stack([t, 0.0 * t])
+    delay_ns = np.hypot(*away.T) / SPEED_OF_LIGHT_MPS * 1e9
+    azimuth_deg = np.degrees(np.arctan2(away[:, 1], away[:, 0]))
+    tables = {
+        "paths": [t, np.tile([4, 9], 40), delay_ns, azimuth_deg], "wheels": [t[::2], 1.0 + 0.0 * t[::2], 0.0 * t[::2]],
+        "masts": [[4, 9], *place[:2].T, [0.0, 0.0]], "fixes": [t[::4], t[::4], 0.0 * t[::4]],
+    }  # fmt: skip
+    for name, columns in tables.items():
+        np.savetxt(tmp_path / f"{name}.txt", np.column_stack(columns))
+    names: dict[str, Any] = {}
+    exec(code.replace(line, becomes) if line else code, names)
+    r = names["load"](tmp_path)
+    assert len(r.measurements) == 80 and r.odometry[1:, 0] == pytest.approx(np.ones(39))
+    assert len(r.sites) == (1 if one else 2)
+    assert len(r.links) == (1 if data.startswith("nothing tells") else 2)
+    known = not one and not data.startswith("nobody")
+    assert (r.sites.position_m is not None) == known
+    assert np.isnan(r.measurements.azimuth_rad).all() == (data == "no angles")
+    assert np.isnan(r.measurements.distance_m).all() == (data == "no distances")
+    assert np.all(r.sites.clock_offset_std_m == (0.0 if "clock" in data and "one clock" not in data else 30.0))
+    assert (r.reference is None) == (data == "no reference") and r.plane == ("one plane" in data)

@@ -88,6 +88,9 @@ def test_scores_against_a_reference_interpolate_the_estimate(toy_recording: Toy)
     assert scores["heading_rmse_rad"] == pytest.approx(0.2)
     assert scores["nees_mean"] == pytest.approx(9.0 / 5.0)  # 2^2 claimed and 1^2 of the reference
     assert scores["map_gospa_m"] is None and scores["association_recall"] is None
+    unsaid = dataclasses.replace(recording.reference, position_std_m=np.full(5, np.nan))
+    exact = score(dataclasses.replace(recording, reference=unsaid), result_of(recording, straight), None)
+    assert exact["nees_mean"] == pytest.approx(9.0 / 4.0)
 
 
 def test_alignment_removes_a_rigid_motion(toy_recording: Toy) -> None:

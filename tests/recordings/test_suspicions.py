@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from cellslam.recordings import build
+from cellslam.recordings import Campaign, OdometryTable, build
 from cellslam.recordings.inspection.suspicions import suspicions
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
 from cellslam.sim.recording import Recording
@@ -34,6 +34,10 @@ HARD = (
     ("measurements 1 s late", "cellular"),
     ("20 m on every distance", "hall"),
     ("lever arm left out", "trees"),
+    ("nanoseconds for metres", "few places"),
+    ("clockwise azimuth", "few places"),
+    ("20 m on every distance", "tubes"),
+    ("yaw rate in degrees", "rover"),
 )
 
 
@@ -44,7 +48,7 @@ def cellular() -> Recording:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("world", ["hall", "beacons", "trees", "cellular"])
+@pytest.mark.parametrize("world", ["hall", "few places", "beacons", "rover", "tubes", "trees", "cellular"])
 def test_sound_campaigns_raise_nothing(world: str) -> None:
     assert suspicions(build(worlds.WORLDS[world](101))) == []
 
@@ -55,6 +59,26 @@ def test_a_mistake_is_named(mistake: str, world: str) -> None:
     plant, kinds = worlds.MISTAKES[mistake]
     found = [s.kind for s in suspicions(build(plant(worlds.WORLDS[world](101))))]
     assert found and found[0] in kinds, found
+
+
+def test_headings_that_jitter_are_no_degrees() -> None:
+    """Odometry at 100 Hz from poses that jitter by a degree turns by 100 degrees a second, and nowhere."""
+    t = 0.01 * np.arange(3000)
+    jitter = np.radians(2.0) * np.random.default_rng(0).standard_normal(len(t))
+    wheels = OdometryTable(t[1:], {"u_x": np.ones(len(t) - 1), "u_psi": np.diff(jitter) / 0.01}, "before")
+    ranges = Campaign(t[1:], {"distance_m": np.hypot(20.0 - t[1:], 5.0)}, wheels, start_pose=(0.0,) * 6)
+    assert suspicions(build(ranges)) == []
+
+
+def test_an_arm_of_the_reference_points_to_the_array() -> None:
+    """A reference 2 m behind the array is cured by the lever arm that `recording.toml` asks for."""
+    right = worlds.hall(101)
+    assert right.reference is not None
+    behind = worlds.at_arm(np.column_stack([right.reference.position_m, right.reference.yaw_rad]), (-2.0, 0.0))
+    moved = dataclasses.replace(right.reference, position_m=behind[:, :2], yaw_rad=None)
+    found = suspicions(build(dataclasses.replace(right, reference=moved)))
+    arm = re.search(r"reference.lever_arm_m = \[(\S+), ", " ".join(s.text for s in found))
+    assert arm is not None and float(arm[1]) == pytest.approx(2.0, abs=0.3)
 
 
 def test_the_remedy_is_told() -> None:

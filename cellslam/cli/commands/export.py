@@ -60,7 +60,7 @@ def command(arguments: Namespace) -> None:
     if name:
         from cellslam.cli.recording_estimates import estimates_by
 
-        _, (result,) = estimates_by(arguments, recording, path, [name])
+        _, (result,), _ = estimates_by(arguments, recording, path, [name])
     for kind, out in targets:
         if kind in TABLES:
             from cellslam.recordings.exporting import tables

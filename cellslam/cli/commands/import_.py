@@ -17,7 +17,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("folder", metavar="FOLDER", help="folder with recording.toml and the tables that it names")
     add(parser, "--out", metavar="FILE.h5", required=True, help="the recording to write")
     adapter_help = (
-        "not recording.toml, but victoria-park, tampere-60ghz, mrclam, plaza, tui, or your own as module:function"
+        "not recording.toml, but victoria-park, tampere-60ghz, mrclam, plaza, tui, uwb, rtt, or your own as "
+        "module:function"
     )
     parser.add_argument("--adapter", metavar="NAME", help=adapter_help)
     add(parser, "--set", help="an option of the adapter, as in robot=2; may be repeated")

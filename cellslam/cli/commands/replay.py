@@ -74,5 +74,5 @@ def command(arguments: Namespace) -> int:
     status = results.report(interrupted)
     if results.first is not None and results.first.recording is not None:
         found = [outcome.result for outcome in results.first.outcomes if outcome.result is not None]
-        results.note("\n".join(chain(*doubts(results.first.recording, found).values())))
+        results.note("\n".join(chain(*doubts(results.first.recording, found, given.fitted).values())))
     return status

@@ -20,6 +20,8 @@ ADAPTERS = {
     "mrclam": "cellslam.recordings.adapters.mrclam:load",
     "plaza": "cellslam.recordings.adapters.plaza:load",
     "tui": "cellslam.recordings.adapters.tui:load",
+    "uwb": "cellslam.recordings.adapters.uwb:load",
+    "rtt": "cellslam.recordings.adapters.rtt:load",
 }
 
 

@@ -14,19 +14,20 @@ from typing import Any
 
 import numpy as np
 
+from cellslam.recordings.adapters.anchored import with_anchors
 from cellslam.recordings.adapters.shared import simulated_odometry
 from cellslam.recordings.adapters.tui_files import Angle, Container, Estimated, Location, Sheet, load_sheet, opened
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.geodesy import projected
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
-from cellslam.sim.recording import Floats, Ints
+from cellslam.sim.recording import Floats, Ints, Recording
 
 NOISE = (0.05, 0.05, 0.0, np.radians(0.5), 0.0, 0.0)  # of the simulated odometry, m/s and rad/s times root second
 
 
-def load(folder: Path) -> Campaign:
-    """Return the campaign of the files that `tui.toml` in `folder` names. Raises InputError."""
+def load(folder: Path) -> Recording:
+    """Return the recording of the files that `tui.toml` in `folder` names. Raises InputError."""
     sheet = load_sheet(folder)
     if sheet.responses is not None:
         from cellslam.recordings.adapters.tui_responses import estimated
@@ -47,7 +48,11 @@ def load(folder: Path) -> Campaign:
         )
         motion = simulated_odometry(snapshots, place, _at(snapshots, reference, yaw), NOISE)
     about["description"] = folder.name + ("; odometry simulated from the location" if motion is not None else "")
-    return Campaign(
+    transmitter = None
+    if sheet.transmitter is not None:
+        with opened(folder / sheet.transmitter.file, sheet.units) as file:
+            transmitter = {"transmitter": _places(file, "", about)[0].mean(axis=0)}
+    campaign = Campaign(
         time_s=times,
         columns=columns,
         snapshots_s=snapshots,
@@ -62,6 +67,7 @@ def load(folder: Path) -> Campaign:
         plane=sheet.plane,
         about=about,
     )
+    return with_anchors(campaign, transmitter)
 
 
 def _given(folder: Path, sheet: Sheet, asked: Estimated) -> tuple[Floats, Floats, dict[str, Floats]]:
@@ -102,15 +108,24 @@ def _reference(folder: Path, sheet: Sheet, asked: Location, about: dict[str, Any
     with opened(folder / asked.file, sheet.units) as file:
         times = file.values(f"{group}/MetaData/Snapshot/TimeStamp")
         yaw = None if asked.yaw is None else _ours(file.values(f"{group}/{asked.yaw.dataset}"), asked.yaw)
-        if f"{group}/PosX" in file.file:
-            place = np.column_stack([file.values(f"{group}/Pos{axis}") for axis in "XYZ"])
-        else:
-            latitude, longitude = (file.values(f"{group}/{name}") for name in ("Latitude", "Longitude"))
-            plane, crs, convergence = projected(latitude, longitude, asked.crs)
-            about["projection"] = {"crs": crs, "origin_m": plane[0].tolist()}
-            place = np.column_stack([plane - plane[0], file.values(f"{group}/Height")])
-            yaw = None if yaw is None else wrap_angle(yaw + convergence)
+        place, convergence = _places(file, asked.crs, about)
+        yaw = None if yaw is None else wrap_angle(yaw + convergence)
     return ReferenceTable(times, place, yaw, asked.std_m)
+
+
+def _places(file: Container, crs: str, about: dict[str, Any]) -> tuple[Floats, Floats]:
+    """Return the places (N, 3) in m of a location file, and what to add to its yaws, in rad.
+
+    The first file sets the projection, of which `about` is told; the others follow it.
+    """
+    group = "PoseData"
+    if f"{group}/PosX" in file.file:
+        return np.column_stack([file.values(f"{group}/Pos{axis}") for axis in "XYZ"]), np.zeros(1)
+    latitude, longitude = (file.values(f"{group}/{name}") for name in ("Latitude", "Longitude"))
+    plane, used, convergence = projected(latitude, longitude, about.get("projection", {"crs": crs})["crs"])
+    about.setdefault("projection", {"crs": used, "origin_m": plane[0].tolist()})
+    plane = plane - about["projection"]["origin_m"]
+    return np.column_stack([plane, file.values(f"{group}/Height")]), convergence
 
 
 def _at(times: Floats, reference: ReferenceTable, column: Floats) -> Floats:

@@ -148,6 +148,12 @@ class Location(Table):
     crs: str = Field("", description="where to project latitude and longitude to; empty: their UTM zone")
 
 
+class Transmitter(Table):
+    """[transmitter]: where it stands, which estimators then know: the mean of a log that was made while it stood."""
+
+    file: str = Field("LocationTx.h5", description="from the sheet's folder on")
+
+
 class Sheet(Table):
     """The whole of `tui.toml`."""
 
@@ -157,6 +163,7 @@ class Sheet(Table):
     paths: Estimated | None = None
     responses: Responses | None = None
     location: Location | None = None
+    transmitter: Transmitter | None = None
     units: dict[str, Unit] = Field(default_factory=dict, description="unit by data set, where a file states none")
 
 
@@ -170,4 +177,6 @@ def load_sheet(folder: Path) -> Sheet:
         raise InputError(f"{path}: give one of [paths] and [responses]: what the measurements are made of")
     if sheet.odometry == "simulated" and (sheet.location is None or sheet.location.yaw is None):
         raise InputError(f"{path}: odometry = 'simulated' needs [location] with its yaw")
+    if sheet.transmitter is not None and sheet.location is None:
+        raise InputError(f"{path}: [transmitter] needs [location]: without it nobody knows where the drive starts")
     return sheet

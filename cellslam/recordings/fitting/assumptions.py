@@ -36,6 +36,11 @@ class Assumptions:
     learnt: Learnt | None = None
     why: str = ""
 
+    @property
+    def fitted(self) -> bool:
+        """Whether the recording was asked, and may have answered."""
+        return self.learnt is not None or bool(self.why)
+
 
 def assumed(
     recording: Recording, origin: Origin, names: Sequence[str], given: Mapping[str, Any], fit: bool | None = None,

@@ -28,6 +28,8 @@ CLAIMS = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
 KINDS_OF_NOISE = ("noise_density", "bias", "bias_walk_density", "scale")  # of a data sheet
 NOTHING = (0.0,) * 6
 SAME_TIME_S = 1e-6  # measurements nearer than this belong to one snapshot
+LEAST_SHARED = 0.2  # of the shorter of two tables' spans: a late start or an early end of one leaves more
+GPS_TO_UNIX_S = 315_964_782  # the epoch of GPS time, less the leap seconds since (18 from 2017 on)
 LARGEST_ANGLE = {"azimuth_rad": 2.0 * np.pi, "elevation_rad": 0.5 * np.pi}
 
 
@@ -83,6 +85,10 @@ def build(campaign: Campaign) -> Recording:
     times = _snapshot_times(campaign, rows_s)
     reference = None if campaign.reference is None else _reference(campaign.reference)
     motion = None if campaign.odometry is None else motion_of(campaign.odometry)
+    if motion is not None:
+        _check_shared("odometry", motion.edges_s, times)
+    if reference is not None:
+        _check_shared("reference", reference.time_s, times)
     if campaign.start_pose is not None:
         start_pose = np.asarray(campaign.start_pose, np.float64)
     elif reference is not None:
@@ -116,6 +122,17 @@ def _snapshot_times(campaign: Campaign, rows_s: Floats) -> Floats:
         raise InputError("measurements have no row: give at least one, or the table 'snapshots'")
     distinct: Floats = times[np.append(True, np.diff(times) > SAME_TIME_S)]
     return distinct
+
+
+def _check_shared(table: str, own_s: Floats, times: Floats) -> None:
+    """Raise InputError where a table's times (N,) in s share no time with the snapshots' (T,), or little."""
+    shared = min(own_s[-1], times[-1]) - max(own_s[0], times[0])
+    if shared < LEAST_SHARED * min(own_s[-1] - own_s[0], times[-1] - times[0]):
+        raise InputError(
+            f"{table} lasts from {own_s[0]:.15g} to {own_s[-1]:.15g} s, measurements from {times[0]:.15g} to "
+            f"{times[-1]:.15g} s: they share {f'{shared:.3g} s' if shared > 0.0 else 'no time'}; check the unit of "
+            f"time_s, and bring both onto one clock with [clocks.NAME] offset_s (from GPS to Unix time {GPS_TO_UNIX_S})"
+        )
 
 
 def _measurements(campaign: Campaign, rows_s: Floats, times: Floats) -> contract.Measurements:

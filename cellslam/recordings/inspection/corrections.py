@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellslam.recordings.importing.odometry import Motion, integrate
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import odometry_of
 
 Arm = tuple[float, float]
+GAP = 3.0  # median intervals: between fixes further apart than so nobody knows where the vehicle was
 
 
 @dataclass(frozen=True)
@@ -42,12 +44,13 @@ class Correction:
 
     def effect(self, table: str, fields: Sequence[str]) -> Correction:
         """Return what shows of it between the odometry and another table, which alone has `fields`: of delays and arms
-        only sums show.
+        only differences show, or, of the array from the point of both, sums.
         """
-        (x, y), (more_x, more_y) = self.odometry_arm_m, getattr(self, f"{table}_arm_m")
+        (x, y), (other_x, other_y) = self.odometry_arm_m, getattr(self, f"{table}_arm_m")
+        sign = -1.0 if table == "reference" else 1.0
         return Correction(
             odometry_late_s=self.odometry_late_s - getattr(self, f"{table}_late_s"),
-            odometry_arm_m=(x + more_x, y + more_y),
+            odometry_arm_m=(x + sign * other_x, y + sign * other_y),
             **{field: getattr(self, field) for field in ("speed", "yaw_rate", "side", *fields)},
         )
 
@@ -72,8 +75,7 @@ class Drive:
         inside = (times >= self.time_s[0]) & (times <= self.time_s[-1])
         columns = self._tracks[key].T
         x, y, yaw = (np.where(inside, np.interp(times, self.time_s, column), np.nan) for column in columns)
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        return np.stack([x + cos * arm[0] - sin * arm[1], y + sin * arm[0] + cos * arm[1], yaw], axis=-1)
+        return away(x, y, yaw, arm)
 
     def _track(self, speed: float, yaw_rate: float, side: float) -> Floats:
         dt = np.diff(self.time_s)
@@ -82,6 +84,47 @@ class Drive:
         ahead, left = self._velocity[:, 0] * dt * speed, self._velocity[:, 1] * dt * speed * side
         step = np.column_stack([ahead * np.cos(half) - left * np.sin(half), ahead * np.sin(half) + left * np.cos(half)])
         return np.column_stack([np.vstack([np.zeros(2), np.cumsum(step, axis=0)]), yaw])
+
+
+class Fixes:
+    """Where the vehicle is known to have been: times (R,) in s, places (R, 2) in m, yaws (R,) in rad, None if unknown.
+
+    Between fixes that are further apart than usual nothing is known.
+    """
+
+    def __init__(self, time_s: Floats, position_m: Floats, yaw_rad: Floats | None) -> None:
+        self.time_s, self.position_m = time_s, position_m
+        self.yaw_rad = None if yaw_rad is None else np.unwrap(yaw_rad)
+        self._gap = GAP * float(np.median(np.diff(time_s)))
+
+    def known(self, times: Floats) -> NDArray[np.bool_]:
+        """Return whether a place is known at `times` (...,) in s."""
+        after = np.searchsorted(self.time_s, times).clip(1, len(self.time_s) - 1)
+        near = self.time_s[after] - self.time_s[after - 1] <= self._gap
+        return np.asarray(near & (times >= self.time_s[0]) & (times <= self.time_s[-1]))
+
+    def places(self, times: Floats, c: Correction) -> Floats:
+        """Return x, y (..., 2) in m at `times` (...,) in s, for a correction of the reference; NaN outside."""
+        when = times + c.reference_late_s
+        inside = (when >= self.time_s[0]) & (when <= self.time_s[-1])
+        columns = self.position_m.T[::-1] if c.mirrored else self.position_m.T
+        return c.reference * np.stack([np.where(inside, np.interp(when, self.time_s, p), np.nan) for p in columns], -1)
+
+    def poses(self, times: Floats, c: Correction, yaw_mirrored: bool = False) -> Floats:
+        """Return x, y (m) and yaw (rad), (..., 3), of the array at `times` (...,) in s; NaN outside.
+
+        `yaw_mirrored`: yaws count from north, clockwise, as those of a reference north-east-down do.
+        """
+        assert self.yaw_rad is not None
+        x, y = np.moveaxis(self.places(times, c), -1, 0)
+        yaw = np.interp(times + c.reference_late_s, self.time_s, self.yaw_rad)
+        return away(x, y, 0.5 * np.pi - yaw if yaw_mirrored else yaw, c.reference_arm_m)
+
+
+def away(x: Floats, y: Floats, yaw: Floats, arm: Arm) -> Floats:
+    """Return poses (..., 3) of the point `arm` away, in m in the body frame, from one at x, y (m) with a yaw (rad)."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return np.stack([x + cos * arm[0] - sin * arm[1], y + sin * arm[0] + cos * arm[1], yaw], axis=-1)
 
 
 def dead_reckoned(recording: Recording, times: Floats) -> Floats:

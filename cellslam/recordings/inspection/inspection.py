@@ -189,7 +189,7 @@ def _link_line(link: Mapping[str, Any]) -> str:
 
 
 def _reference_lines(f: Mapping[str, Any]) -> list[str]:
-    std = f"+-{f['std_m']} m" if f["std_m"] is not None else "deviation not stated"
+    std = f"+-{f['std_m']} m" if f["std_m"] is not None else "deviation not stated, taken as exact"
     lines = [
         f"reference     {f['count']} fixes, {f['within_the_drive']} within the drive, every {f['interval_s']} s, "
         f"{'with yaw' if f['yaw'] else 'no yaw'}, {std}"

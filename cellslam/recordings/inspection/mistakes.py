@@ -174,7 +174,9 @@ def _arm(table: str) -> Explanation:
     def harmless(c: Correction) -> bool:
         return bool(np.hypot(*getattr(c, field)) < ARM_M)
 
-    return Explanation([Correction().having(field, a) for a in ARMS_M], diagnose, harmless, field, _displaced, step=1.0)
+    corrections = [Correction().having(field, arm) for arm in ARMS_M]
+    # A lag of the odometry, and ranges that are too long or short, look like an arm.
+    return Explanation(corrections, diagnose, harmless, field, _displaced, step=1.0, least=0.75)
 
 
 def _azimuth(c: Correction) -> Diagnosis:

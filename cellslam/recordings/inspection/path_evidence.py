@@ -1,6 +1,7 @@
-"""How well measured paths and the odometry agree: each measurement is predicted from those of a moment before.
+"""How well measured paths agree with the odometry, or with a reference that has a yaw: each measurement is predicted
+from those of moments before.
 
-A measurement z_j is one of its link's n measurements z_i of that moment, moved on by what the odometry says, or new:
+A measurement z_j is one of its link's n measurements z_i of these, moved on by what the other table says, or new:
 
     p(z_j) = w / n sum_i N(z_j - h(z_i, motion); 0, diag(sigma_m^2, sigma_rad^2)) + (1 - w) / area
 
@@ -9,13 +10,14 @@ Which one it is, w and the sigmas are found with each correction by ROUNDS of ex
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from cellslam.recordings.inspection.corrections import Correction, Drive
+from cellslam.recordings.inspection.corrections import Correction, Drive, Fixes
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording
 
@@ -23,12 +25,15 @@ STEP_M, TURN_RAD = 1.5, 0.15  # how far the vehicle comes, or turns, within the 
 MOVES = 16  # such steps or turns a drive must have: what moves less shows nothing
 LONGER = 6  # times as long, the longer lag: what is near moves against what is far
 LONGEST_S, LAGS = 30.0, 8  # a lag is no longer than this; and so many fit into the drive
+# A reference does not drift: lags double up to half of the drive, which may be half as long.
+MOVES_KNOWN, LAGS_KNOWN = 8, 2
 PATHS = 40  # of a snapshot
 CANDIDATES = 8_000  # for a lag
 PAIRS = (40, 120)  # of snapshots
 FEWEST = 40
 ROUNDS = 4
 LEAST_STD_M, LEAST_STD_RAD = 0.02, 0.002
+ERROR, ERROR_KNOWN = 0.3, 0.05  # of a motion, with which the sigmas begin: of odometry and of a reference
 FAR_M = 1e6
 BLOCKS = 16
 WORTH = 5.0  # most measurements of a pair of moments that count: their errors are alike
@@ -36,14 +41,15 @@ WORTH = 5.0  # most measurements of a pair of moments that count: their errors a
 
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs of moments (n,) in s, and candidates among their measurements: row `first` (C,) may have become `second`.
+    """Moments (n,) in s, and candidates for their measurements: row `first` (C,) of an earlier moment, `before_s` (C,)
+    in s, may have become `second`.
 
-    `at` (C,): which of the G second measurements that is; `pair` (G,): to which moments it belongs; `share` (G,): one
+    `at` (C,): which of the G second measurements that is; `pair` (G,): to which moment it belongs; `share` (G,): one
     over the number of its candidates.
     """
 
-    before_s: Floats
     after_s: Floats
+    before_s: Floats
     first: Ints
     second: Ints
     at: Ints
@@ -52,13 +58,16 @@ class Pairs:
 
 
 class PathEvidence:
-    """Log-likelihood of measurements, given those before and the odometry, over many pairs of moments of a drive."""
+    """Log-likelihood of measurements, given those before and the motion, over many pairs of moments of a drive.
 
-    name = "paths"
+    The motion is that of the odometry, or of a reference. Over the long lags of a reference a path is predicted from
+    where its source is, so that clocks must be known.
+    """
 
-    def __init__(self, recording: Recording, drive: Drive) -> None:
-        """Raise ValueError where azimuths or motion are too few."""
-        m, self.drive, self.time_s = recording.measurements, drive, recording.time_s
+    def __init__(self, recording: Recording, drive: Drive, fixes: Fixes | None = None) -> None:
+        """`fixes`: the reference; None: odometry. Raises ValueError where azimuths, yaws or motion are too few."""
+        m, self.drive, self.fixes, self.time_s = recording.measurements, drive, fixes, recording.time_s
+        self.name = "paths" if fixes is None else "sightings"
         self.usable = ~np.isnan(m.azimuth_rad) & (~np.isnan(m.distance_m) | np.isnan(m.distance_m).all())
         if self.usable.sum() < FEWEST:
             raise ValueError
@@ -68,20 +77,32 @@ class PathEvidence:
         self.known = (recording.sites.clock_offset_std_m == 0.0)[recording.links.site][m.link] & self.ranged
         mean = recording.sites.clock_offset_mean_m[recording.links.site][m.link]
         self.distance = np.where(self.known, m.distance_m - mean, m.distance_m) if self.ranged else np.zeros(len(m))
+        if fixes is not None:
+            self.usable &= fixes.known(self.time_s)[m.snapshot]
+            if fixes.yaw_rad is None or self.usable.sum() < FEWEST or not self.known[self.usable].all():
+                raise ValueError
         area = np.ptp(self.azimuth[self.usable]) + 1e-3
         if self.ranged:
             area *= np.ptp(self.distance[self.usable]) + 1e-3
         self.area = float(area)
-        self.lags = [pairs for lag in self._lags() if len((pairs := self._pairs(recording, lag)).pair)]
+        self.lags = [pairs for lags in self._lags() if len((pairs := self._pairs(recording, lags)).pair)]
         if sum(len(pairs.pair) for pairs in self.lags) < FEWEST:
             raise ValueError
-        middle = np.concatenate([0.5 * (pairs.before_s + pairs.after_s) for pairs in self.lags])
-        self.block = ((middle - self.time_s[0]) / np.ptp(self.time_s) * BLOCKS).astype(np.int64)
+        moments = np.concatenate([pairs.after_s for pairs in self.lags])
+        self.block = ((moments - self.time_s[0]) / np.ptp(self.time_s) * BLOCKS).astype(np.int64)
         self._plain = [self._logs(pairs, Correction()) for pairs in self.lags]
 
     def effect_of(self, c: Correction) -> Correction:
-        """Return what a correction comes to between odometry and measurements."""
-        return c.effect("measurements", ("azimuth", "azimuth_zero_rad", "distance", "distance_zero_m"))
+        """Return what a correction comes to between measurements and odometry or reference."""
+        own = ("azimuth", "azimuth_zero_rad", "distance", "distance_zero_m")
+        if self.fixes is None:
+            return c.effect("measurements", own)
+        (x, y), (more_x, more_y) = c.reference_arm_m, c.measurements_arm_m
+        return Correction(
+            reference_late_s=c.reference_late_s - c.measurements_late_s,
+            reference_arm_m=(x + more_x, y + more_y),
+            **{field: getattr(c, field) for field in ("reference", "mirrored", *own)},
+        )
 
     def change(self, c: Correction) -> Floats:
         """Return by how much an effect raises the log-likelihood (n,); NaN outside of the drive."""
@@ -96,40 +117,50 @@ class PathEvidence:
         same = bool((inside == np.isfinite(plain)).all())
         return np.asarray(found - (plain if same else self._logs(pairs, Correction(), inside)))
 
-    def _lags(self) -> list[int]:
-        poses = self.drive.poses(self.time_s, Correction(), (0.0, 0.0))
-        self.progress = np.concatenate([[0.0], np.cumsum(_moves(poses))])
+    def _lags(self) -> list[list[int]]:
+        """Return lags in snapshots, those by which moments before stand together in one prediction in one list."""
+        poses = self._poses(self.time_s, Correction())
+        known = self.fixes is not None
+        self.progress = np.concatenate([[0.0], np.cumsum(np.nan_to_num(_moves(poses)))])
         typical = self.progress[-1] / max(int((np.diff(self.progress) > 1e-6).sum()), 1)
         if typical <= 0.0:
             raise ValueError
-        longest = max(min(LONGEST_S / float(np.median(np.diff(self.time_s))), len(self.time_s) / LAGS), 1.0)
+        drifts = np.inf if known else LONGEST_S / float(np.median(np.diff(self.time_s)))
+        longest = max(min(drifts, len(self.time_s) / (LAGS_KNOWN if known else LAGS)), 1.0)
         lag = int(np.clip(round(1.0 / typical), 1, longest))
-        if _moves(poses[::lag]).sum() < MOVES:
+        if np.nansum(_moves(poses[::lag])) < (MOVES_KNOWN if known else MOVES):
             raise ValueError
-        return sorted({lag, int(min(LONGER * lag, longest))})
+        if known:
+            return [[lag * 2**k for k in range(int(np.log2(longest / lag)) + 1)]]
+        return [[each] for each in sorted({lag, int(min(LONGER * lag, longest))})]
 
-    def _pairs(self, recording: Recording, lag: int) -> Pairs:
-        m = recording.measurements
-        count = len(self.time_s) - lag
+    def _poses(self, times: Floats, c: Correction, yaw_mirrored: bool = False) -> Floats:
+        """Return x, y (m) and yaw (rad), (..., 3), of the array at `times` (...,) in s after an effect; NaN outside."""
+        if self.fixes is None:
+            return self.drive.poses(times + c.odometry_late_s, c, c.odometry_arm_m)
+        return self.fixes.poses(times, c, yaw_mirrored)
+
+    def _pairs(self, recording: Recording, lags: Sequence[int]) -> Pairs:
+        m, first = recording.measurements, lags[0]
         each = np.bincount(m.snapshot[self.usable] * len(recording.links) + m.link[self.usable])
-        candidates = float((each.astype(np.float64) ** 2).sum()) / len(self.time_s)
+        candidates = len(lags) * float((each.astype(np.float64) ** 2).sum()) / len(self.time_s)
         pairs = int(np.clip(CANDIDATES / max(candidates, 1e-9), *PAIRS))
-        even = np.linspace(self.progress[0], self.progress[count - 1], pairs)
-        chosen = np.unique(np.minimum(np.searchsorted(self.progress[:count], even), count - 1))
+        even = np.linspace(self.progress[first], self.progress[-1], pairs)
+        chosen = np.unique(np.clip(np.searchsorted(self.progress, even), first, len(self.time_s) - 1))
         rows = np.flatnonzero(self.usable)
         table = pd.DataFrame({"snapshot": m.snapshot[rows], "link": m.link[rows], "row": rows})
         table = table[table.groupby("snapshot").cumcount() < PATHS]
-        before = table[table["snapshot"].isin(chosen)]
-        after = table.assign(snapshot=table["snapshot"] - lag)
+        after = table[table["snapshot"].isin(chosen)]
+        before = pd.concat([table.assign(snapshot=table["snapshot"] + lag) for lag in lags])
         found = before.merge(after, on=["snapshot", "link"], suffixes=("_before", "_after"))
         found = found.sort_values(["row_after", "row_before"])
-        first, second = found["row_before"].to_numpy(), found["row_after"].to_numpy()
+        source, second = found["row_before"].to_numpy(), found["row_after"].to_numpy()
         targets, at, count_of = np.unique(second, return_inverse=True, return_counts=True)
-        moments, pair = np.unique(m.snapshot[targets] - lag, return_inverse=True)
+        moments, pair = np.unique(m.snapshot[targets], return_inverse=True)
         return Pairs(
-            before_s=self.time_s[moments],
-            after_s=self.time_s[moments + lag],
-            first=first,
+            after_s=self.time_s[moments],
+            before_s=self.time_s[m.snapshot[source]],
+            first=source,
             second=second,
             at=at,
             pair=pair,
@@ -138,22 +169,29 @@ class PathEvidence:
 
     def _logs(self, pairs: Pairs, c: Correction, among: NDArray[np.bool_] | bool = True) -> Floats:
         """Return the log-likelihood (n,) of pairs of moments, in units as recorded; NaN outside of the drive."""
-        times = (pairs.before_s + c.odometry_late_s, pairs.after_s + c.odometry_late_s)
-        moved = _displacement(*(self.drive.poses(t, c, c.odometry_arm_m) for t in times))
-        inside = np.asarray(np.isfinite(moved).all(axis=1) & among)
+        if not c.mirrored:
+            return self._logs_of(pairs, c, among, False)
+        # Of a reference with x and y swapped the yaw may be right, or from north as well.
+        either = [self._logs_of(pairs, c, among, yaw_mirrored) for yaw_mirrored in (False, True)]
+        return max(either, key=lambda logs: float(np.nansum(logs)))
+
+    def _logs_of(self, pairs: Pairs, c: Correction, among: NDArray[np.bool_] | bool, yaw_mirrored: bool) -> Floats:
         at = pairs.pair[pairs.at]
-        range_error, azimuth_error = self._innovations(pairs, moved[at], c)
+        before, after = (self._poses(t, c, yaw_mirrored) for t in (pairs.before_s, pairs.after_s))
+        moved = _displacement(before, after[at])
+        inside = np.isfinite(moved).all(axis=1) & np.broadcast_to(among, len(pairs.after_s))[at]
+        range_error, azimuth_error = self._innovations(pairs, moved, c)
         # In units as recorded: a correction that shrinks what is recorded is not the better for it.
         jacobian = c.distance if self.ranged else 1.0
         typical = np.median(np.abs(moved[inside]), axis=0) if inside.any() else np.zeros(3)
-        std_m = max(0.3 * float(np.hypot(typical[0], typical[1])), 10 * LEAST_STD_M)
-        std_rad = max(0.3 * float(typical[2]), 0.05)
-        usable = inside[at]
-        range_error, azimuth_error = (np.where(usable, e, np.inf) for e in (range_error, azimuth_error))
+        error = ERROR if self.fixes is None else ERROR_KNOWN
+        std_m = max(error * float(np.hypot(typical[0], typical[1])), 10 * LEAST_STD_M)
+        std_rad = max(error * float(typical[2]), 0.05)
+        range_error, azimuth_error = (np.where(inside, e, np.inf) for e in (range_error, azimuth_error))
         found, seen = self._mixture(pairs, range_error, azimuth_error, (std_m, std_rad), jacobian)
-        total = np.bincount(pairs.pair, np.log(found), minlength=len(pairs.before_s))
+        total = np.bincount(pairs.pair, np.log(found), minlength=len(pairs.after_s))
         targets = np.bincount(pairs.pair, minlength=len(total))
-        return np.where(inside & seen, total * np.minimum(1.0, WORTH / np.maximum(targets, 1)), np.nan)
+        return np.where(seen, total * np.minimum(1.0, WORTH / np.maximum(targets, 1)), np.nan)
 
     def _innovations(self, pairs: Pairs, moved: Floats, c: Correction) -> tuple[Floats, Floats]:
         """Return second minus predicted distances and azimuths (C,) in m and rad, after `moved` (C, 3)."""
@@ -179,7 +217,7 @@ class PathEvidence:
         e, a = range_error**2, azimuth_error**2
         both = np.isfinite(e)
         share = pairs.share[pairs.at]
-        seen = np.bincount(pairs.pair[pairs.at], both, minlength=len(pairs.before_s)) > 0
+        seen = np.bincount(pairs.pair[pairs.at], both, minlength=len(pairs.after_s)) > 0
         alive = max(int(seen[pairs.pair].sum()), 1)
         for _ in range(ROUNDS):
             scale = jacobian / (np.sqrt(2.0 * np.pi) * std_rad)

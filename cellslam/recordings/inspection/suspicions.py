@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellslam.benchmarks.scores.reference_fixes import usable
-from cellslam.recordings.inspection.corrections import Correction, Drive, dead_reckoned
+from cellslam.recordings.inspection.corrections import Correction, Drive, Fixes, dead_reckoned
 from cellslam.recordings.inspection.mistakes import DEGREE, EXPLANATIONS, Explanation
 from cellslam.recordings.inspection.path_evidence import PathEvidence
 from cellslam.recordings.inspection.trajectory_evidence import RangeEvidence, ReferenceEvidence
@@ -26,7 +26,11 @@ from cellslam.sim.recording import Floats, Ints, Recording
 from cellslam.sim.recording.columns import COLUMNS
 from cellslam.sim.recording.contract import TIMES, values_of
 
-FASTEST_TURN = 2.5  # rad/s: faster than any road vehicle, for its upper decile
+# Half a turn a second, rad/s: faster than any vehicle turns in a tenth of its drive; as many degrees a second are
+# slower than its fastest turns, of which a hundredth is left out.
+FASTEST_TURN, FASTEST_SHARE, OUTLYING = np.pi, 0.1, 0.01
+WINDOW_S, FEWEST_WINDOWS = 1.0, 10  # over which a turn is averaged: headings that jitter are no turns
+OTHER_UNIT = 10.0  # a factor of yaw rates beyond it, or below one over it, is another unit
 LEAST_ANGLES = 50
 START_M = 15.0  # so much of the path shows in which direction a drive starts
 BACKWARDS = 0.8  # of the path: nobody drives so
@@ -40,6 +44,7 @@ WORTHY = 0.5  # gain of a stretch that counts as much as any
 AS_WELL, NEARLY = 0.9, 0.8  # shares of another's gain
 TABLES = {
     "paths": "measured paths and odometry",
+    "sightings": "measured paths and reference",
     "reference": "reference and odometry",
     "ranges": "distances and odometry",
     "places": "distances and reference",
@@ -93,14 +98,23 @@ def whole_distances(recording: Recording) -> Iterator[Suspicion]:
 
 def fast_turns(recording: Recording) -> Iterator[Suspicion]:
     """Yaw rates that no vehicle reaches: degrees that were taken for radians."""
-    rate = np.abs(recording.odometry[1:, 3])
-    rate = rate[np.isfinite(rate)]
-    if len(rate) and np.quantile(rate, 0.9) > FASTEST_TURN:
+    rate = _turn_rates(recording)
+    if len(rate) >= FEWEST_WINDOWS and (fast := np.quantile(rate, 1.0 - FASTEST_SHARE)) > FASTEST_TURN:
         yield Suspicion(
             "degrees-as-radians",
-            f"a tenth of the yaw rates u_psi exceed {np.quantile(rate, 0.9):.1f} rad/s, too fast for a vehicle: were "
-            'degrees taken for radians? say unit = "deg/s"',
+            f"a tenth of the yaw rates u_psi exceed {fast:.1f} rad/s, too fast for a vehicle: were degrees taken for "
+            'radians? say unit = "deg/s"',
         )
+
+
+def _turn_rates(recording: Recording) -> Floats:
+    """Return how fast the odometry turns (n,) in rad/s, without sign, averaged over windows of a second."""
+    rate, times = recording.odometry[1:, 3], recording.time_s
+    if np.isnan(rate).all():
+        return np.empty(0)
+    yaw = np.append(0.0, np.cumsum(np.nan_to_num(rate) * np.diff(times)))
+    turned = np.diff(np.interp(np.arange(times[0], times[-1], WINDOW_S), times, yaw))
+    return np.asarray(np.abs(turned) / WINDOW_S)
 
 
 def yaw_of_reference(recording: Recording) -> Iterator[Suspicion]:
@@ -138,12 +152,12 @@ def start_against_odometry(recording: Recording) -> Iterator[Suspicion]:
     fixes = _fixes_of(recording)
     if fixes is None or np.isnan(recording.odometry[:, 0]).all():
         return
-    own = dead_reckoned(recording, fixes[0])[:, :2]
+    own = dead_reckoned(recording, fixes.time_s)[:, :2]
     travelled = np.cumsum(np.hypot(*np.diff(own, axis=0, prepend=own[:1]).T))
     end = int(np.searchsorted(travelled, START_M))
     if end == len(travelled):
         return
-    a, b = own[end] - own[0], fixes[1][end] - fixes[1][0]
+    a, b = own[end] - own[0], fixes.position_m[end] - fixes.position_m[0]
     turn = float(wrap_angle(np.arctan2(b[1], b[0]) - np.arctan2(a[1], a[0])))
     if abs(turn) > 0.75 * np.pi and np.hypot(*b) > 0.3 * START_M:
         yield Suspicion(
@@ -234,17 +248,21 @@ class Contradiction:
 def contradictions(recording: Recording) -> Iterator[Suspicion]:
     """Tables that contradict each other: the correction that explains them best, and others that do so as well.
 
-    It must gain surely in some evidence, and more there than what is nobody's mistake does.
+    It must gain surely in some evidence, and more there, or in all, than what is nobody's mistake does.
     """
     found = _ranked(_evidence_of(recording))
     small = [x for x in found if x.harmless]
 
     def grave(x: Contradiction) -> bool:
-        """Return whether it gains surely where nothing harmless gains nearly as much."""
+        """Return whether it gains surely, and nothing harmless gains nearly as much there or in all."""
         most = {e: max((o.gains[e].mean for o in small), default=-np.inf) for e in x.gains}
-        return not x.harmless and any(x.sure(e) and most[e] <= NEARLY * gain.mean for e, gain in x.gains.items())
+        alone = max((o.total for o in small), default=-np.inf) <= NEARLY * x.total
+        return not x.harmless and any(
+            x.sure(e) and (alone or most[e] <= NEARLY * gain.mean) for e, gain in x.gains.items()
+        )
 
-    suspected = [x for x in found if grave(x)]
+    turns = _turn_rates(recording)
+    suspected = [x for x in found if grave(x) and _turns_like_a_vehicle(turns, abs(x.correction.yaw_rate))]
     best = sorted(suspected, key=lambda x: (x.total < AS_WELL * suspected[0].total, x.explanation.refined is not None))
     as_well = [x for x in best[1:] if x.total > AS_WELL * suspected[0].total and x.explanation.refined is None]
     for rank, x in enumerate([*best[:1], *as_well]):
@@ -253,6 +271,14 @@ def contradictions(recording: Recording) -> Iterator[Suspicion]:
             f"{TABLES[name]} (log-likelihood {g.mean:+.1f} a stretch)" for name, g in x.gains.items() if g.mean > 0.05
         )
         yield Suspicion(kind, f"{'or' if rank else 'it seems that'} {text}; then {tables} agree better")
+
+
+def _turns_like_a_vehicle(rates: Floats, factor: float) -> bool:
+    """Return whether turn rates (n,) in rad/s, if a factor makes them another unit, are then such as vehicles have."""
+    if 1.0 / OTHER_UNIT < factor < OTHER_UNIT or not len(rates):
+        return True
+    fast = factor * float(np.quantile(rates, 1.0 - OUTLYING))
+    return DEGREE * FASTEST_TURN < fast < FASTEST_TURN
 
 
 def _ranked(evidence: list[Evidence]) -> list[Contradiction]:
@@ -306,7 +332,9 @@ def _evidence_of(recording: Recording) -> list[Evidence]:
     if with_odometry:
         makers.append(lambda: PathEvidence(recording, drive))
     if with_odometry and fixes is not None:
-        makers.append(lambda: ReferenceEvidence(drive, *fixes))
+        makers.append(lambda: ReferenceEvidence(drive, fixes))
+    if fixes is not None and not without_angles:
+        makers.append(lambda: PathEvidence(recording, drive, fixes))
     if with_odometry and without_angles:
         makers.append(lambda: RangeEvidence(recording, drive, None))
     if without_angles and fixes is not None:
@@ -320,10 +348,13 @@ def _evidence_of(recording: Recording) -> list[Evidence]:
     return found
 
 
-def _fixes_of(recording: Recording) -> tuple[Floats, Floats] | None:
-    """Return times (R,) in s and places (R, 2) in m where the vehicle is known to have been, within the drive."""
+def _fixes_of(recording: Recording) -> Fixes | None:
+    """Return where the vehicle is known to have been, within the drive."""
     r = recording.reference
     if r is not None:
         rows = usable(recording, r)
-        return (r.time_s[rows], r.position_m[rows, :2]) if rows.sum() > 2 else None
-    return None if recording.truth is None else (recording.time_s, recording.truth.poses[:, :2])
+        yaw = r.yaw_rad[rows] if np.isfinite(r.yaw_rad[rows]).all() else None
+        return Fixes(r.time_s[rows], r.position_m[rows, :2], yaw) if rows.sum() > 2 else None
+    if recording.truth is None:
+        return None
+    return Fixes(recording.time_s, recording.truth.poses[:, :2], recording.truth.poses[:, 3])

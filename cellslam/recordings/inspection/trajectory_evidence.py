@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellslam.recordings.inspection.corrections import Correction, Drive
+from cellslam.recordings.inspection.corrections import Correction, Drive, Fixes
 from cellslam.sim.recording import Floats, Ints, Recording
 
 STRETCH_M = 30.0  # of the path, for one comparison
@@ -35,9 +35,9 @@ class ReferenceEvidence:
 
     name = "reference"
 
-    def __init__(self, drive: Drive, times: Floats, position_m: Floats) -> None:
-        """`times` (R,) in s and `position_m` (R, 2) of the fixes. Raises ValueError where they are too few."""
-        self.drive = drive
+    def __init__(self, drive: Drive, fixes: Fixes) -> None:
+        """Raise ValueError where the fixes are too few."""
+        self.drive, times, position_m = drive, fixes.time_s, fixes.position_m
         here = drive.poses(times, Correction(), (0.0, 0.0))[:, :2]
         travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(here, axis=0).T))])
         chosen = _stretches(travelled, STRETCH_M, FEWEST, FIXES)
@@ -97,8 +97,8 @@ def _stretches(travelled: Floats, length_m: float, fewest: int, points: int) -> 
 class RangeEvidence:
     """Log-likelihood of distances over stretches of the path, given odometry or reference; its place is free."""
 
-    def __init__(self, recording: Recording, drive: Drive, fixes: tuple[Floats, Floats] | None) -> None:
-        """`fixes`: times (R,) and positions (R, 2) of the reference; None: odometry. Raises ValueError if too few."""
+    def __init__(self, recording: Recording, drive: Drive, fixes: Fixes | None) -> None:
+        """`fixes`: the reference; None: odometry. Raises ValueError where ranges or fixes are too few."""
         m, self.drive, self.fixes = recording.measurements, drive, fixes
         self.name = "ranges" if fixes is None else "places"
         rows = np.flatnonzero(~np.isnan(m.distance_m))
@@ -111,9 +111,7 @@ class RangeEvidence:
         times = recording.time_s[at]
         here = self._points(times, Correction())
         if fixes is not None:
-            gap = 3.0 * float(np.median(np.diff(fixes[0])))
-            near = np.searchsorted(fixes[0], times).clip(1, len(fixes[0]) - 1)
-            times = np.where(fixes[0][near] - fixes[0][near - 1] <= gap, times, np.nan)
+            times = np.where(fixes.known(times), times, np.nan)
         usable = np.isfinite(here).all(axis=1) & np.isfinite(times)
         step = np.hypot(*np.diff(here[usable], axis=0).T)
         travelled = np.full(len(rows), np.nan)
@@ -163,10 +161,7 @@ class RangeEvidence:
     def _points(self, times: Floats, c: Correction) -> Floats:
         if self.fixes is None:
             return self.drive.poses(times + c.odometry_late_s, c, c.odometry_arm_m)[..., :2]
-        stamps, places = self.fixes
-        when = times + c.reference_late_s
-        inside = (when >= stamps[0]) & (when <= stamps[-1])
-        return c.reference * np.stack([np.where(inside, np.interp(when, stamps, p), np.nan) for p in places.T], axis=-1)
+        return self.fixes.places(times, c)
 
 
 def _rest(points: Floats, distance: Floats) -> Floats:

@@ -66,6 +66,32 @@ def test_what_speaks_against_an_estimate_is_said(toy_recording: Toy) -> None:
     assert worse_than_odometry(unscored, result_of(drive.truth.poses + steps), alone) == [away]
 
 
+def test_what_is_learnt_is_not_recommended(toy_recording: Toy) -> None:
+    drive = flat(toy_recording(600))
+    assert drive.truth is not None
+    steps = np.cumsum(np.full(600, 0.05))[:, None] * np.eye(6)[1]
+    one, alone = result_of(drive.truth.poses + steps), result_of(drive.truth.poses + 0.5 * np.eye(6)[0])
+    assert worse_than_odometry(drive, one, alone)[-1].endswith("the data sheet is too tight (--fit learns it)")
+    assert worse_than_odometry(drive, one, alone, fitted=True)[-1].endswith("the data sheet is too tight")
+
+
+def test_an_estimate_that_nothing_changed_says_why(toy_recording: Toy) -> None:
+    drive = flat(toy_recording(600))
+    assert drive.truth is not None
+    poses = drive.truth.poses
+    one, alone = result_of(poses + 5e-4 * np.eye(6)[0]), result_of(poses)
+    exact = replace(drive, odometry_model=type(drive.odometry_model)(*np.zeros((4, 6))))
+    clutter = replace(one, association=np.r_[0, np.full(len(drive.measurements) - 1, -1)])
+    for recording, result, why in (
+        (drive, one, "they weigh nothing beside the odometry"),
+        (exact, one, "the odometry's data sheet says that it never errs"),
+        (drive, clutter, f"it took {len(drive.measurements) - 1} of {len(drive.measurements)} for clutter"),
+    ):
+        (said,) = worse_than_odometry(recording, result, alone)
+        assert f"dead reckoning to the millimetre: the measurements changed nothing, since {why}" in said
+    assert "millimetre" not in "".join(worse_than_odometry(drive, result_of(poses + 2e-3 * np.eye(6)[0]), alone))
+
+
 @pytest.mark.slow
 def test_replay_and_inspect_say_it(
     toy_recording: Toy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

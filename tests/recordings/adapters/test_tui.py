@@ -147,7 +147,11 @@ def test_paths_of_the_authors(drive: Any, tmp_path: Path, position_rmse: Callabl
     at = np.arange(0, len(drive.time_s), 10)
     write_location(tmp_path, drive)
     true = write_paths(tmp_path, drive, at)
-    r = imported(tmp_path, SHEET + PATHS)
+    with h5py.File(tmp_path / "LocationTx.h5", "w") as file:
+        for axis, value in zip("XYZ", SOURCES[0], strict=True):
+            dataset(file.create_group("PoseData") if axis == "X" else file["PoseData"], f"Pos{axis}", 5 * [value], "m")
+    r = imported(tmp_path, SHEET + PATHS + "[transmitter]\n")
+    assert r.sites.position_m is not None and np.array_equal(r.sites.position_m, SOURCES[:1])
     m = r.measurements
     assert len(r.time_s) == len(at) and len(m) == 3 * len(at) - 3 and "simulated" in r.provenance["description"]
     seen = true.reshape(-1, 3)[np.r_[0:3, 6 : 3 * len(at)]]
