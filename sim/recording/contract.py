@@ -74,7 +74,10 @@ class Recording(Described):
         for path in TIMES:
             steps = np.diff(values.get(path, np.empty(0)))
             _require(
-                steps > 0, path.replace("/", "."), "is not after the row before it: sort the rows by time", offset=1
+                np.asarray(steps > 0),
+                path.replace("/", "."),
+                "is not after the row before it: sort the rows by time",
+                offset=1,
             )
             _check_range(RANGES["interval"], steps, f"{path.replace('/', '.')}, step to row", offset=1)
         _check_measurements(self.measurements, len(self.links))

@@ -424,9 +424,10 @@ def _estimate(
 def _writable(setup: Setup) -> Setup:
     """Return a setup whose arrays can be written: kernels are compiled for such arrays alone."""
     links, model = setup.links, setup.odometry_model
+    site, cell, port = (np.array(c, np.int64) for c in (links.site, links.cell_id, links.port))
     return replace(
         setup,
-        links=Links(*(np.array(c, np.int64) for c in (links.site, links.cell_id, links.port))),
+        links=Links(site, cell, port),
         odometry_model=OdometryModel(
             *(np.array(c, float) for c in (model.noise_density, model.bias, model.bias_walk_density, model.scale))
         ),

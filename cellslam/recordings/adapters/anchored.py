@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +10,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cellslam.recordings.adapters.shared import increasing, matrix
-from cellslam.recordings.importing.campaign import Campaign, build
 from cellslam.recordings.importing.manifest import FileTable
 from cellslam.recordings.importing.odometry import OdometryTable
 from cellslam.recordings.importing.tables import Head, TableFile
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import mean_velocity
-from cellslam.sim.recording import COMPONENTS, Floats, Recording
+from cellslam.sim.recording import COMPONENTS, Floats
 
 TUM = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 Names = Mapping[str, float]  # what a column may be called, and what its unit is in ours
@@ -61,24 +59,10 @@ def pose_odometry(time_s: Floats, poses: Floats) -> OdometryTable:
     return OdometryTable(time_s[1:], dict(zip(COMPONENTS, u.T, strict=True)), "before")
 
 
-def are_known(anchors: str) -> bool:
-    """Return what the option `anchors` of an adapter says: "known" or "unknown". Raises InputError."""
-    if anchors not in ("known", "unknown"):
-        raise InputError(f"anchors = '{anchors}': give 'known' or 'unknown'")
-    return anchors == "known"
-
-
-def with_anchors(campaign: Campaign, anchors: Mapping[str, Floats] | None) -> Recording:
-    """Return the recording of a campaign in which estimators know where the sites stand, by name (3,) in m.
-
-    None: they do not. Raises InputError for a site without a place.
-    """
-    recording = build(campaign)
-    if anchors is None:
-        return recording
-    missing = [name for name in recording.sites.name if name not in anchors]
+def surveyed(names: Iterable[str], places: Mapping[str, Floats]) -> dict[str, Sequence[float]]:
+    """Return where the sites of these names stand, for a campaign. Raises InputError for a site without a place."""
+    missing = [name for name in names if name not in places]
     if missing:
-        known = ", ".join(anchors)
+        known = ", ".join(places)
         raise InputError(f"anchor '{missing[0]}' has ranges but no place (known: {known}): survey it, or leave it out")
-    places = np.array([anchors[name] for name in recording.sites.name])
-    return replace(recording, sites=replace(recording.sites, position_m=places))
+    return {name: places[name].tolist() for name in names}

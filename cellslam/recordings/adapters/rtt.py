@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from cellslam.recordings.adapters.anchored import are_known, named, pose_odometry, with_anchors
-from cellslam.recordings.adapters.shared import increasing
+from cellslam.recordings.adapters.anchored import named, pose_odometry, surveyed
+from cellslam.recordings.adapters.shared import given, increasing
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.odometry import OdometryTable
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.recording import Floats, Recording
+from cellslam.sim.recording import Floats
 
 NANOSECOND_M = 1e-9 * SPEED_OF_LIGHT_MPS
 TIME = {"time_s": 1.0, "timestamp_ms": 1e-3, "timestamp_ns": 1e-9}
@@ -45,13 +45,13 @@ SHEET = {
 WALKS = {"noise_density": (1.0, 1.0, 0.0, 0.0, 0.0, 0.0)}
 
 
-def load(folder: Path, *, anchors: str = "known", clock_offset_std_m: float = 0.0) -> Recording:
-    """Return the recording of a folder. Raises InputError.
+def load(folder: Path, *, sites: str = "known", clock_offset_std_m: float = 0.0) -> Campaign:
+    """Return the campaign of a folder. Raises InputError.
 
-    `anchors`: "known" to the estimators, or "unknown". `clock_offset_std_m`: deviation of the unknown clock offset of
-    each anchor in m, for one-way delays; 0: there and back.
+    `sites`: where the anchors stand is "known" to the estimators, or "unknown". `clock_offset_std_m`: deviation of the
+    unknown clock offset of each anchor in m, for one-way delays; 0: there and back.
     """
-    known = are_known(anchors)
+    known = given("sites", sites)
     if not clock_offset_std_m >= 0.0:
         raise InputError(f"clock_offset_std_m = {clock_offset_std_m}: give 0 m or more")
     path = folder / "ranges.csv"
@@ -62,22 +62,22 @@ def load(folder: Path, *, anchors: str = "known", clock_offset_std_m: float = 0.
         raise InputError(f"{path}: no row has a distance above zero and status 0: nothing was measured")
     names, link = np.unique(columns["id"][good], return_inverse=True)
     odometry, truth = _odometry(folder / "odometry.csv"), folder / "reference.csv"
-    campaign = Campaign(
+    return Campaign(
         time_s=columns["time_s"][good],
         columns={name: columns[name][good] for name in ("distance_m", "distance_std_m") if name in columns},
         link=link,
         link_sites=names.tolist(),
         site_offsets=dict.fromkeys(names.tolist(), (0.0, clock_offset_std_m)),
+        site_surveys=surveyed(names, _places(folder / "anchors.csv")) if known else {},
         odometry=odometry,
         noise=WALKS if odometry is None else SHEET,
         start_pose=None if truth.is_file() else (0.0,) * 6,
         reference=_reference(truth) if truth.is_file() else None,
         about={"campaign": "ranges", "description": folder.name},
     )
-    return with_anchors(campaign, _surveyed(folder / "anchors.csv") if known else None)
 
 
-def _surveyed(path: Path) -> dict[str, Floats]:
+def _places(path: Path) -> dict[str, Floats]:
     table = named(path, {"id": IDENT, **PLACE})
     places = np.column_stack([table[axis] for axis in "xyz"])
     return dict(zip(table["id"].tolist(), places, strict=True))
@@ -87,11 +87,11 @@ def _odometry(path: Path) -> OdometryTable | None:
     if not path.is_file():
         return None
     table = named(path, ODOMETRY, optional=tuple(name for name in ODOMETRY if name != "time_s"))
-    given = [name for name in ("u_x", "u_psi") if name in table]
-    if len(given) == 2:
+    speeds = [name for name in ("u_x", "u_psi") if name in table]
+    if len(speeds) == 2:
         rows = increasing(np.column_stack([table["time_s"], table["u_x"], table["u_psi"]]))
         return OdometryTable(rows[:, 0], {"u_x": rows[:, 1], "u_psi": rows[:, 2]})
-    if given or any(name not in table for name in ("x", "y", "yaw")):
+    if speeds or any(name not in table for name in ("x", "y", "yaw")):
         raise InputError(f"{path}: give speed_mps and yaw_rate_radps, or x_m, y_m and yaw_rad")
     rows = increasing(np.column_stack([table[name] for name in ("time_s", "x", "y", "yaw")]))
     nothing = np.zeros(len(rows))

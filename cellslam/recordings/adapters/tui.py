@@ -14,20 +14,19 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.recordings.adapters.anchored import with_anchors
 from cellslam.recordings.adapters.shared import simulated_odometry
 from cellslam.recordings.adapters.tui_files import Angle, Container, Estimated, Location, Sheet, load_sheet, opened
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.geodesy import projected
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
-from cellslam.sim.recording import Floats, Ints, Recording
+from cellslam.sim.recording import Floats, Ints
 
 NOISE = (0.05, 0.05, 0.0, np.radians(0.5), 0.0, 0.0)  # of the simulated odometry, m/s and rad/s times root second
 
 
-def load(folder: Path) -> Recording:
-    """Return the recording of the files that `tui.toml` in `folder` names. Raises InputError."""
+def load(folder: Path) -> Campaign:
+    """Return the campaign of the files that `tui.toml` in `folder` names. Raises InputError."""
     sheet = load_sheet(folder)
     if sheet.responses is not None:
         from cellslam.recordings.adapters.tui_responses import estimated
@@ -48,11 +47,11 @@ def load(folder: Path) -> Recording:
         )
         motion = simulated_odometry(snapshots, place, _at(snapshots, reference, yaw), NOISE)
     about["description"] = folder.name + ("; odometry simulated from the location" if motion is not None else "")
-    transmitter = None
+    surveys: dict[str, Any] = {}
     if sheet.transmitter is not None:
         with opened(folder / sheet.transmitter.file, sheet.units) as file:
-            transmitter = {"transmitter": _places(file, "", about)[0].mean(axis=0)}
-    campaign = Campaign(
+            surveys["transmitter"] = _places(file, "", about)[0].mean(axis=0).tolist()
+    return Campaign(
         time_s=times,
         columns=columns,
         snapshots_s=snapshots,
@@ -60,6 +59,7 @@ def load(folder: Path) -> Recording:
         link_sites=["transmitter"] * len(names),
         link_ports=list(range(len(names))) if sheet.responses is not None else None,
         site_offsets={"transmitter": (0.0, sheet.clock_offset_std_m)},
+        site_surveys=surveys,
         odometry=motion,
         noise={"noise_density": NOISE} if motion is not None else {},
         start_pose=(0.0,) * 6 if reference is None else None,
@@ -67,7 +67,6 @@ def load(folder: Path) -> Recording:
         plane=sheet.plane,
         about=about,
     )
-    return with_anchors(campaign, transmitter)
 
 
 def _given(folder: Path, sheet: Sheet, asked: Estimated) -> tuple[Floats, Floats, dict[str, Floats]]:

@@ -15,19 +15,20 @@ of RGB-D SLAM systems, IROS 2012 (TUM's trajectories).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cellslam.recordings.adapters.anchored import are_known, named, pose_odometry, poses_of, trajectory, with_anchors
-from cellslam.recordings.adapters.shared import increasing
+from cellslam.recordings.adapters.anchored import named, pose_odometry, poses_of, surveyed, trajectory
+from cellslam.recordings.adapters.shared import given, increasing
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.manifest import FileTable
 from cellslam.recordings.importing.odometry import OdometryTable
 from cellslam.recordings.importing.tables import Head, TableFile
 from cellslam.sim.errors import InputError
-from cellslam.sim.recording import Floats, Recording
+from cellslam.sim.recording import Floats
 
 RANGES = {"time_s": {"t": 1.0}, "id": {"id": 1.0}, "distance_m": {"range": 1.0}, "distance_std_m": {"std": 1.0}}
 ANCHORS = {"id": {"id": 1.0}, "x": {"x": 1.0}, "y": {"y": 1.0}, "z": {"z": 1.0}}
@@ -41,11 +42,15 @@ SHEET = {
 MOVES = {"noise_density": (0.5, 0.5, 0.2, 0.02, 0.0, 0.0), "bias": (0.0, 0.0, 0.0, 0.005, 0.0, 0.0)}
 
 
-def load(folder: Path, *, anchors: str = "known") -> Recording:
-    """Return the recording of a folder; `anchors`: "known" to the estimators, or "unknown". Raises InputError."""
-    known, tables = are_known(anchors), (folder / "ranges.csv").is_file()
+def load(folder: Path, *, sites: str = "known") -> Campaign:
+    """Return the campaign of a folder; `sites`: where the anchors stand is "known" to the estimators, or "unknown".
+    Raises InputError."""
+    tables = (folder / "ranges.csv").is_file()
     campaign = _of_tables(folder) if tables else _of_streams(folder)
-    return with_anchors(campaign, (_anchors_of_table if tables else _anchors_of_survey)(folder) if known else None)
+    if not given("sites", sites):
+        return campaign
+    places = (_anchors_of_table if tables else _anchors_of_survey)(folder)
+    return replace(campaign, site_surveys=surveyed(campaign.link_sites, places))
 
 
 def _of_tables(folder: Path) -> Campaign:

@@ -66,7 +66,7 @@ def test_times_of_arrival_without_surveyed_cells(drive: Any, tmp_path: Path) -> 
     speeds = np.column_stack([drive.time_s, drive.speed, np.degrees(drive.turn)])[::5]
     head = "time_s,speed_mps,yaw_rate_degps"
     np.savetxt(tmp_path / "odometry.csv", speeds, "%.6f", ",", header=head, comments="")
-    r = import_adapter(tmp_path, "rtt", {"anchors": "unknown", "clock_offset_std_m": 50.0})
+    r = import_adapter(tmp_path, "rtt", {"sites": "unknown", "clock_offset_std_m": 50.0})
     assert r.sites.position_m is None and np.all(r.sites.clock_offset_std_m == 50.0)
     assert np.sort(r.measurements.distance_m) == pytest.approx(np.sort(true) + 30.0, abs=0.001)
     assert np.abs(r.odometry[1:, 3]) == pytest.approx(np.full(len(r.time_s) - 1, 0.12), abs=0.13)

@@ -89,7 +89,7 @@ def test_tables_and_trajectories(drive: Any, tmp_path: Path, position_rmse: Call
     alone = position_rmse(r, "dead-reckoning")
     assert 0.5 < alone < 6.0  # what the bent track amounts to
     assert position_rmse(r, "ekf-slam") < 0.3 * alone
-    unknown = import_adapter(tmp_path, "uwb", {"anchors": "unknown"})
+    unknown = import_adapter(tmp_path, "uwb", {"sites": "unknown"})
     assert unknown.sites.position_m is None and np.array_equal(unknown.measurements.link, r.measurements.link)
 
 
@@ -115,4 +115,4 @@ def test_what_does_not_fit_is_said(drive: Any, tmp_path: Path) -> None:
     late[:, 0] += 1.4e9
     np.savetxt(tmp_path / "odometry.tum", late)
     with pytest.raises(InputError, match=r"odometry lasts from 14000\d+.* measurements from 0.* they share no time"):
-        import_adapter(tmp_path, "uwb", {"anchors": "unknown"})
+        import_adapter(tmp_path, "uwb", {"sites": "unknown"})
