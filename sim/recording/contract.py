@@ -83,7 +83,7 @@ class Recording(Described):
         _check_measurements(self.measurements, len(self.links))
         surveyed = np.isfinite(self.sites.surveyed_m)
         half = surveyed.any(axis=1) & ~surveyed.all(axis=1)
-        _require(~half, "sites.position_m", "is known in part: write x, y and z, or NaN for all three")
+        _require(np.asarray(~half), "sites.position_m", "is known in part: write x, y and z, or NaN for all three")
         if self.plane and not np.isnan(self.measurements.elevation_rad).all():
             raise InputError("plane is set, but measurements.elevation_rad has values: leave one of both out")
 
