@@ -18,7 +18,17 @@ ROOT = Path(__file__).parents[1]
 ORDER = ("sim", "slam", "scenarios", "benchmarks", "recordings", "python_api", "cli")
 ROOMS = ORDER[:4]
 # Of sim, estimators see the data contract and the frames; the others are helpers without a model.
-OPEN_TO_SLAM = ("recording", "frames", "errors", "progress", "randomness", "described", "compiling", "plausible")
+OPEN_TO_SLAM = (
+    "recording",
+    "frames",
+    "errors",
+    "progress",
+    "randomness",
+    "described",
+    "compiling",
+    "plausible",
+    "data_files",
+)
 
 
 def picture() -> ModuleType:

@@ -9,6 +9,7 @@ from typing import Any
 from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.cli.arguments import add
 from cellslam.cli.cities import write_pictures
+from cellslam.cli.long_requests import note_long
 from cellslam.cli.output import note
 from cellslam.cli.progress_bars import bars
 from cellslam.scenarios.loading import from_tables
@@ -59,6 +60,7 @@ def command(arguments: Namespace) -> None:
         "vehicle": VEHICLE,
     }
     scenario = from_tables({"name": name, **tables})
+    note_long(arguments, scenario.city)
     with bars(arguments.quiet) as progress, progress("building the city", 1):
         city = build_city(scenario.city, city_rng(scenario.world, 0, 0))
     try:

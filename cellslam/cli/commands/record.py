@@ -8,6 +8,7 @@ from pathlib import Path
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.output_files import check_file, check_folder
 from cellslam.cli.arguments import add, whole
+from cellslam.cli.long_requests import note_long
 from cellslam.cli.output import note, size_of
 from cellslam.cli.progress_bars import bars
 from cellslam.scenarios.estimator_options import resolve
@@ -44,6 +45,7 @@ def command(arguments: Namespace) -> None:
         out.mkdir(parents=True, exist_ok=True)
     else:
         check_file(out)
+    note_long(arguments, scenario.city, scenario.vehicle)
     with bars(arguments.quiet) as progress:
         for trial in range(arguments.trials) if many else (arguments.trial,):
             path = out / f"{scenario.name}-{arguments.seed}-{trial:04}.h5" if many else out

@@ -22,6 +22,7 @@ from cellslam.sim.city.files.osm import load_osm
 from cellslam.sim.city.footprints import buildings, ground_objects
 from cellslam.sim.city.materials import ITU_P2040, itu_material, itu_name
 from cellslam.sim.errors import InputError, one_line
+from cellslam.sim.plausible import RANGES
 
 FORMATS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".xml", ".json", ".jsonl", ".osm", ".pbf")
 
@@ -66,6 +67,7 @@ def _load(config: MeshCityConfig, path: Path, stamp: int) -> City:
         if not np.isfinite(o.vertices).all():
             where = f" of '{o.building}'" if o.building else ""
             raise InputError(f"mesh '{config.path}' has a vertex{where} that is not finite (NaN): repair the file")
+        RANGES["position"].check(float(o.vertices.flat[np.abs(o.vertices).argmax()]), f"mesh '{config.path}': a vertex")
     return _city(path.stem, objects, tolerances)
 
 
