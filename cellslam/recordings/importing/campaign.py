@@ -29,6 +29,7 @@ KINDS_OF_NOISE = ("noise_density", "bias", "bias_walk_density", "scale")  # of a
 NOTHING = (0.0,) * 6
 SAME_TIME_S = 1e-6  # measurements nearer than this belong to one snapshot
 LEAST_SHARED = 0.2  # of the shorter of two tables' spans: a late start or an early end of one leaves more
+SLACK_S = 1.0  # drives of a moment: a table that begins so much later is not of another clock
 GPS_TO_UNIX_S = 315_964_782  # the epoch of GPS time, less the leap seconds since (18 from 2017 on)
 LARGEST_ANGLE = {"azimuth_rad": 2.0 * np.pi, "elevation_rad": 0.5 * np.pi}
 
@@ -127,7 +128,7 @@ def _snapshot_times(campaign: Campaign, rows_s: Floats) -> Floats:
 def _check_shared(table: str, own_s: Floats, times: Floats) -> None:
     """Raise InputError where a table's times (N,) in s share no time with the snapshots' (T,), or little."""
     shared = min(own_s[-1], times[-1]) - max(own_s[0], times[0])
-    if shared < LEAST_SHARED * min(own_s[-1] - own_s[0], times[-1] - times[0]):
+    if shared + SLACK_S < LEAST_SHARED * min(own_s[-1] - own_s[0], times[-1] - times[0]):
         raise InputError(
             f"{table} lasts from {own_s[0]:.15g} to {own_s[-1]:.15g} s, measurements from {times[0]:.15g} to "
             f"{times[-1]:.15g} s: they share {f'{shared:.3g} s' if shared > 0.0 else 'no time'}; check the unit of "
