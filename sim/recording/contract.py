@@ -74,8 +74,8 @@ class Recording(Described):
             _require(later, path.replace("/", "."), "is not after the row before it: sort the rows by time", offset=1)
         _check_measurements(self.measurements, len(self.links))
         surveyed = np.isfinite(self.sites.surveyed_m)
-        half = surveyed.any(axis=1) & ~surveyed.all(axis=1)
-        _require(~half, "sites.position_m", "is known in part: write x, y and z, or NaN for all three")
+        whole = np.asarray(surveyed.all(axis=1) | ~surveyed.any(axis=1))
+        _require(whole, "sites.position_m", "is known in part: write x, y and z, or NaN for all three")
         if self.plane and not np.isnan(self.measurements.elevation_rad).all():
             raise InputError("plane is set, but measurements.elevation_rad has values: leave one of both out")
 
