@@ -82,8 +82,8 @@ class Recording(Described):
             _check_range(RANGES["interval"], steps, f"{path.replace('/', '.')}, step to row", offset=1)
         _check_measurements(self.measurements, len(self.links))
         surveyed = np.isfinite(self.sites.surveyed_m)
-        half = surveyed.any(axis=1) & ~surveyed.all(axis=1)
-        _require(np.asarray(~half), "sites.position_m", "is known in part: write x, y and z, or NaN for all three")
+        whole = np.asarray(surveyed.all(axis=1) | ~surveyed.any(axis=1))
+        _require(whole, "sites.position_m", "is known in part: write x, y and z, or NaN for all three")
         if self.plane and not np.isnan(self.measurements.elevation_rad).all():
             raise InputError("plane is set, but measurements.elevation_rad has values: leave one of both out")
 

@@ -71,8 +71,8 @@ class Fusion(Generic[Options]):
             "clutter_density": options.clutter_density * share,
             "birth_ratio": max(BIRTH_RATIO, options.birth_ratio) if (size >= MANY).all() else options.birth_ratio,
         })  # fmt: skip
-        site, cell, port = (np.array(c, np.int64)[self._first] for c in (links.site, links.cell_id, links.port))
-        self.setup = replace(setup, links=Links(site, cell, port))
+        site, cell_id, port = (np.array(c, np.int64)[self._first] for c in (links.site, links.cell_id, links.port))
+        self.setup = replace(setup, links=Links(site, cell_id, port))
 
     def fuse(self, snapshot: Snapshot) -> FusedMeasurements:
         """Return the measurements of a snapshot, fused."""

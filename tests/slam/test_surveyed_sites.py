@@ -12,14 +12,12 @@ import pytest
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import setup_of
 from cellslam.slam.fastslam.fastslam import FastSlam
-from cellslam.slam.fastslam.paper_fastslam import PaperFastSlam
 from cellslam.slam.joint.bp_slam import BpSlam
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.snapshot.birth_kernel import _gives_way
 from cellslam.slam.joint.state.layout import HITS, LAST, SURVEYED, block_of, one_of
 from cellslam.slam.joint.wall_slam import WallSlam
 from cellslam.slam.oracles import KnownAssociation
-from cellslam.slam.phd_slam.phd_slam import PhdSlam
 from tests.slam.driving import driven
 
 ERROR_M = np.array([3.0, -2.0, 2.0])
@@ -38,7 +36,7 @@ def surveyed(recording: Recording, error_m: Any, std_m: float) -> Recording:
     return replace(recording, sites=sites)
 
 
-@pytest.mark.parametrize("estimator", [EkfSlam, FastSlam, WallSlam, BpSlam, PhdSlam, PaperFastSlam])
+@pytest.mark.parametrize("estimator", [EkfSlam, FastSlam, WallSlam, BpSlam])
 def test_a_survey_is_corrected_by_measurements_as_far_as_it_may_err(estimator: Any, toy_recording: Toy) -> None:
     recording = toy_recording(80)
     for std_m, nearer in ((3.0, True), (0.0, False)):
