@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from cellslam.cli.commands.export import EXPORTS
+from cellslam.recordings.importing.campaign import build
 from cellslam.recordings.importing.columns import TABLES
 from cellslam.recordings.importing.importing import import_folder
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
@@ -95,7 +96,7 @@ def test_any_kind_of_data(data: str, line: str, becomes: str, monkeypatch: pytes
         np.savetxt(tmp_path / f"{name}.txt", np.column_stack(columns))
     names: dict[str, Any] = {}
     exec(code.replace(line, becomes) if line else code, names)
-    r = names["load"](tmp_path)
+    r = build(names["load"](tmp_path))
     assert len(r.measurements) == 80 and r.odometry[1:, 0] == pytest.approx(np.ones(39))
     assert len(r.sites) == (1 if one else 2)
     assert len(r.links) == (1 if data.startswith("nothing tells") else 2)

@@ -238,7 +238,8 @@ def test_a_round_trip_is_a_round_trip(
     assert again.reference is not None and drive.reference is not None
     for name in ("time_s", "odometry"):
         np.testing.assert_array_equal(getattr(again, name), getattr(drive, name))
-    for one, two in ((again.measurements, drive.measurements), (again.reference, drive.reference)):
+    reference = dataclasses.replace(again.reference, odometry=None)  # an import makes it of the odometry's table
+    for one, two in ((again.measurements, drive.measurements), (reference, drive.reference)):
         for field in dataclasses.fields(one):
             np.testing.assert_array_equal(getattr(one, field.name), getattr(two, field.name))
     for name in CLOCK_PRIOR:

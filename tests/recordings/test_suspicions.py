@@ -64,7 +64,7 @@ def test_a_mistake_is_named(mistake: str, world: str) -> None:
 def test_headings_that_jitter_are_no_degrees() -> None:
     """Odometry at 100 Hz from poses that jitter by a degree turns by 100 degrees a second, and nowhere."""
     t = 0.01 * np.arange(3000)
-    jitter = np.radians(2.0) * np.random.default_rng(0).standard_normal(len(t))
+    jitter = np.radians(1.0) * np.random.default_rng(0).standard_normal(len(t))
     wheels = OdometryTable(t[1:], {"u_x": np.ones(len(t) - 1), "u_psi": np.diff(jitter) / 0.01}, "before")
     ranges = Campaign(t[1:], {"distance_m": np.hypot(20.0 - t[1:], 5.0)}, wheels, start_pose=(0.0,) * 6)
     assert suspicions(build(ranges)) == []
