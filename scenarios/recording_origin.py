@@ -1,4 +1,4 @@
-"""What a recording says of its origin: scenario, root seed, trial. It is data: code that it names is not loaded."""
+"""The origin of a recording: scenario, root seed, trial. Provenance is data: no code that it names is loaded."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TECHNOLOGY = "radio.technology"
 
 @dataclass(frozen=True)
 class Origin:
-    """What a recording says about where it comes from; a `measured` one says nothing of a scenario.
+    """Where a recording comes from, by its provenance; that of a `measured` one has no scenario.
 
     `code`: what it names of code that is not cellslam's and was not loaded, by key; without its waveform there is no
     `scenario`.
@@ -40,19 +40,19 @@ class Origin:
 
     @staticmethod
     def of(recording: Recording, path: Path = Path("recording"), technology: Any = None) -> Origin:
-        """Read the provenance of a recording; one that says nothing is called as the file `path` is.
+        """Read the provenance of a recording; one without a name is called as the file `path` is.
 
-        `technology`: the recording's waveform, given again by the user, who so says that its code may be loaded.
+        `technology`: the recording's waveform, given again by the user, which allows to load its code.
         Raises InputError where it is another, or cannot be loaded.
         """
-        said = recording.provenance
-        tables, own = said.get("scenario"), _technology(said)
+        provenance = recording.provenance
+        tables, own = provenance.get("scenario"), _technology(provenance)
         if technology not in (None, own):
             raise InputError(f"{TECHNOLOGY}={technology}: a recording is as it is, with '{own}'; leave the key out")
         if technology is not None and ":" in own:
             load_waveform(own)
         unloaded = {} if is_loaded(own) else {TECHNOLOGY: own}
-        seed, trial = _count(said.get("seed")), _count(said.get("trial"))
+        seed, trial = _count(provenance.get("seed")), _count(provenance.get("trial"))
         if not isinstance(tables, Mapping):
             return Origin(path.stem, seed, trial, {}, None, True, unloaded)
         scenario, options = None, tables.get("estimator")
@@ -65,9 +65,9 @@ class Origin:
         return Origin(name, seed, trial, options, scenario, False, {**unloaded, **own_code(options)})
 
 
-def _technology(said: Mapping[str, Any]) -> str:
+def _technology(provenance: Mapping[str, Any]) -> str:
     """Return the waveform that a provenance names."""
-    for tables in (said.get("scenario"), said.get("world")):
+    for tables in (provenance.get("scenario"), provenance.get("world")):
         radio = tables.get("radio") if isinstance(tables, Mapping) else None
         if isinstance(radio, Mapping):
             return str(radio.get("technology", "lte"))

@@ -1,4 +1,4 @@
-"""Text, TOML, JSON and NumPy files, from whoever sent them: sizes are compared before they are read.
+"""Text, TOML, JSON and NumPy files that may be from a stranger: sizes are compared before they are read.
 
 The errors are those that a reader expects of a file, OSError and ValueError, whatever goes wrong within: who calls adds
 what the file should have been. (UnicodeDecodeError, TOMLDecodeError and JSONDecodeError are ValueErrors.)

@@ -2,7 +2,7 @@
 
 `supervise` splits a fresh Python in two. The child goes on; the other half, its supervisor, adopts whatever the child
 starts and leaves (prctl(2), PR_SET_CHILD_SUBREAPER), passes on what they print, ends them all when the child has ended
-or when it is told to, and then ends as the child did. That is for Linux; elsewhere `end` ends the process group.
+or when it is terminated, and then ends as the child did. That is for Linux; elsewhere `end` ends the process group.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _SUBREAPER, _DEATH_SIGNAL = 36, 1  # PR_SET_CHILD_SUBREAPER, PR_SET_PDEATHSIG
 _LINUX = sys.platform == "linux"
 
 
-class _ToldToEndError(BaseException):
+class _TerminatedError(BaseException):
     pass
 
 
@@ -51,12 +51,12 @@ def supervise(*pipes: int) -> None:
         return
     for end in (*pipes, printing):
         os.close(end)
-    faulthandler.disable()  # the child has said what there is to say
+    faulthandler.disable()  # the child has printed its own fault
     passing = threading.Thread(target=_pass_on, args=(printed,), daemon=True)
     passing.start()
     status: int = signal.SIGKILL
-    with suppress(_ToldToEndError):
-        signal.signal(signal.SIGTERM, _told_to_end)
+    with suppress(_TerminatedError):
+        signal.signal(signal.SIGTERM, _terminated)
         while (ended := os.wait())[0] != child:
             pass
         status = ended[1]
@@ -106,8 +106,8 @@ def descendants(root: int) -> list[int]:
     return found[1:]
 
 
-def _told_to_end(*_: object) -> None:
-    raise _ToldToEndError
+def _terminated(*_: object) -> None:
+    raise _TerminatedError
 
 
 def _pass_on(printed: int) -> None:

@@ -50,14 +50,14 @@ def command(arguments: Namespace) -> int:
             while case < end:
                 kind = sound[case % len(sound)]
                 try:
-                    said = here.recv() if here.poll(LIMIT_S) else f"no end within {LIMIT_S:g} s"
-                    lost = said.startswith("no end")
+                    answer = here.recv() if here.poll(LIMIT_S) else f"no end within {LIMIT_S:g} s"
+                    lost = answer.startswith("no end")
                 except EOFError:
-                    said, lost = "the process crashed", True
-                outcome = said if said in ("read", "refused") else "FAILED"
+                    answer, lost = "the process crashed", True
+                outcome = answer if answer in ("read", "refused") else "FAILED"
                 counts[kind, outcome] += 1
                 if outcome == "FAILED":
-                    failures.append(f"case {case}, {kind}: {said}")
+                    failures.append(f"case {case}, {kind}: {answer}")
                     print(failures[-1], flush=True)
                 case += 1
                 if lost:
@@ -92,8 +92,8 @@ def _read_on(answers: Connection, folder: Path, seed: int, case: int, end: int) 
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                said = read(damage_copy(path, folder / "damaged" / path.parent.name, rng), reader)
+                answer = read(damage_copy(path, folder / "damaged" / path.parent.name, rng), reader)
         except BaseException as error:
             last = traceback.extract_tb(error.__traceback__)[-1]
-            said = f"{type(error).__name__}: {str(error)[:200]!r} ({Path(last.filename).name}, line {last.lineno})"
-        answers.send(said)
+            answer = f"{type(error).__name__}: {str(error)[:200]!r} ({Path(last.filename).name}, line {last.lineno})"
+        answers.send(answer)

@@ -3,8 +3,8 @@
 plan        a task for each world and trial, with a job for each estimator that meets it     `tasks.plan`
             its key is a hash of world, estimator, options, seed and trial: a key that is
             stored is not done again                                                         `pending`
-distribute  a worker process a core, each with one thread; whoever is idle is given the      `executors.Pool`
-            next task, so that a long one holds nobody up
+distribute  a worker process a core, each with one thread; an idle one is given the next      `executors.Pool`
+            task, so that a long task delays no other
 work        a worker makes the world from its seed, and runs one estimator after the other   `tasks.work`
 store       each row comes back as it is ready, and only the parent process writes           `carry_out`, `store`
 lose        a worker that dies or hangs costs the job it was at; the rest of its task goes   `executors._Worker`

@@ -21,12 +21,9 @@ LONGEST_NAME = len("oracle-association")
 LOST_M = 2.0
 LOST, OK = "lost", "trials ok"  # keys of columns that count
 WITH_INTERVAL = ("position_rmse_m", EFFICIENCY, MERGED)
-# In a narrow window, columns that are not among these go first, from the right, and then these, from the end.
-LAST_TO_GO = (
-    "position_rmse_m", LOST, EFFICIENCY, "realtime_factor", MERGED, "nees_mean", "association_recall",
-    "position_max_m", OK,
-)  # fmt: skip
-NEVER_GO = 4
+# In a narrow window these stay, these go last, in this order, and others before them, from the right.
+STAY = ("position_rmse_m", LOST, EFFICIENCY, "realtime_factor")
+GO_LAST = (OK, "position_max_m", "association_recall", "nees_mean", MERGED)
 _LEGEND = (
     "medians over the trials that are ok, in brackets 95 % intervals; efficiency ratio: root mean square error over "
     "that of the bound, merging counted in: of the bound with merging as an error that persists; "
@@ -105,8 +102,8 @@ def _text(own: pd.DataFrame, key: str, several: bool) -> str:
 def _too_many(cells: dict[str, list[str]], keys: list[str], width: int) -> list[str]:
     """Take columns out of `cells`, the least important first, until they fit; return their headings."""
     out = []
-    others = [key for key in reversed(keys) if key not in LAST_TO_GO]
-    for heading in (_heading(key) for key in (*others, *reversed(LAST_TO_GO[NEVER_GO:]))):
+    others = [key for key in reversed(keys) if key not in (*STAY, *GO_LAST)]
+    for heading in map(_heading, (*others, *GO_LAST)):
         texts = [[*key.split("\n"), *values] for key, values in cells.items()]
         if LONGEST_NAME + 2 + sum(2 + max(map(len, lines)) for lines in texts) <= width:
             break

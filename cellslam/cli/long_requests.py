@@ -1,4 +1,4 @@
-"""What a long request will take, said before it begins."""
+"""What a long request will take, noted before it begins."""
 
 from __future__ import annotations
 

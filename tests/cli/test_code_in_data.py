@@ -57,7 +57,7 @@ def ran(cellslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Calla
 
 
 def saying(recording: Recording, radio: dict[str, Any], fastslam: dict[str, Any]) -> Recording:
-    """Return a recording that is said to be of `tiny`, with these keys."""
+    """Return a recording whose provenance names `tiny`, with these keys."""
     tables = {**load("tiny").resolved, "estimator": {"fastslam": fastslam}}
     tables["radio"] |= radio
     assert recording.truth is not None

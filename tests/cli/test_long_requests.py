@@ -19,7 +19,7 @@ from cellslam.scenarios import load
 def test_what_it_will_take(keys: dict[str, Any], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     scenario = load("lund-530", keys)
     note_long(Namespace(quiet=False), scenario.city, scenario.vehicle)
-    said = capsys.readouterr().err
-    assert words in said and bool(said) == bool(words), said
+    printed = capsys.readouterr().err
+    assert words in printed and bool(printed) == bool(words), printed
     note_long(Namespace(quiet=True), scenario.city, scenario.vehicle)
     assert not capsys.readouterr().err

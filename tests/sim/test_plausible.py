@@ -35,7 +35,7 @@ def changed(recording: Recording, path: str, value: float, row: int = 3) -> Reco
     return new
 
 
-MEASURED = [c.path for c in COLUMNS if c.of and c.path in values_of(tiny_drive()) and c.path not in TIMES]
+MEASURED = [c.path for c in COLUMNS if c.kind == "float" and c.path in values_of(tiny_drive()) and c.path not in TIMES]
 
 
 @pytest.mark.parametrize("path", MEASURED)

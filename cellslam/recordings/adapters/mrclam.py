@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellslam.recordings.adapters.shared import given, increasing, matrix
+from cellslam.recordings.adapters.shared import increasing, is_known, matrix
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.odometry import OdometryTable
 from cellslam.sim.errors import InputError
@@ -36,7 +36,7 @@ def load(folder: Path, *, robot: int = 1, association: str = "unknown", sites: s
     "known", each landmark is a link of its own. `sites`: "known", the landmarks' positions are known, too, with the
     deviations in the file. Raises InputError.
     """
-    known, surveyed = given("association", association), given("sites", sites)
+    known, surveyed = is_known("association", association), is_known("sites", sites)
     if surveyed and not known:
         raise InputError("sites = 'known' needs association = 'known': a position is that of one landmark")
     if robot not in range(1, ROBOTS + 1):

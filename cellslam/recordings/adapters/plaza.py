@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellslam.recordings.adapters.shared import given, increasing, matrix
+from cellslam.recordings.adapters.shared import increasing, is_known, matrix
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.matlab import variables
 from cellslam.recordings.importing.odometry import OdometryTable
@@ -42,7 +42,7 @@ def load(folder: Path, *, sites: str = "unknown") -> Campaign:
 
     `sites`: "known", the beacons stand where TL has them, in the frame of GT. Raises InputError.
     """
-    surveyed, tables = given("sites", sites), _tables(folder)
+    surveyed, tables = is_known("sites", sites), _tables(folder)
     if surveyed and not {"GT", "TL"} <= set(tables):
         raise InputError(f"{folder}: has no GT and TL, which say where the beacons stand: leave out sites = 'known'")
     steps, ranges = increasing(tables["DR"]), np.unique(tables["TD"], axis=0)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from cellslam.recordings.adapters.anchored import named, pose_odometry, surveyed
-from cellslam.recordings.adapters.shared import given, increasing
+from cellslam.recordings.adapters.shared import increasing, is_known
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.odometry import OdometryTable
 from cellslam.sim.errors import InputError
@@ -51,7 +51,7 @@ def load(folder: Path, *, sites: str = "known", clock_offset_std_m: float = 0.0)
     `sites`: where the anchors stand is "known" to the estimators, or "unknown". `clock_offset_std_m`: deviation of the
     unknown clock offset of each anchor in m, for one-way delays; 0: there and back.
     """
-    known = given("sites", sites)
+    known = is_known("sites", sites)
     if not clock_offset_std_m >= 0.0:
         raise InputError(f"clock_offset_std_m = {clock_offset_std_m}: give 0 m or more")
     path = folder / "ranges.csv"

@@ -35,7 +35,7 @@ def matrix(path: Path, columns: tuple[str, ...]) -> Floats:
     return rows
 
 
-def given(name: str, value: str) -> bool:
+def is_known(name: str, value: str) -> bool:
     """Return whether an option that is "known" or "unknown" is known. Raises InputError for another value."""
     if value not in ("unknown", "known"):
         raise InputError(f"{name} = '{value}': give 'unknown' or 'known'")

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellslam.recordings.adapters.shared import given, simulated_odometry
+from cellslam.recordings.adapters.shared import is_known, simulated_odometry
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.matlab import variables
 from cellslam.sim.errors import InputError
@@ -34,7 +34,7 @@ def load(folder: Path, *, sites: str = "unknown") -> Campaign:
 
     `sites`: "known", position and heading of the transmitter are known, those of sim.tx at the first place.
     """
-    surveyed = given("sites", sites)
+    surveyed = is_known("sites", sites)
     places = [folder] if folder.is_file() else [folder / NAME, folder / "measurements" / NAME]
     path = next((place for place in places if place.is_file()), None)
     if path is None:

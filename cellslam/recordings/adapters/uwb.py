@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.recordings.adapters.anchored import named, pose_odometry, poses_of, surveyed, trajectory
-from cellslam.recordings.adapters.shared import given, increasing
+from cellslam.recordings.adapters.shared import increasing, is_known
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.manifest import FileTable
 from cellslam.recordings.importing.odometry import OdometryTable
@@ -47,7 +47,7 @@ def load(folder: Path, *, sites: str = "known") -> Campaign:
     Raises InputError."""
     tables = (folder / "ranges.csv").is_file()
     campaign = _of_tables(folder) if tables else _of_streams(folder)
-    if not given("sites", sites):
+    if not is_known("sites", sites):
         return campaign
     places = (_anchors_of_table if tables else _anchors_of_survey)(folder)
     return replace(campaign, site_surveys=surveyed(campaign.link_sites, places))

@@ -87,8 +87,8 @@ def test_an_estimate_that_nothing_changed_says_why(toy_recording: Toy) -> None:
         (exact, one, "the odometry's data sheet says that it never errs"),
         (drive, clutter, f"it took {len(drive.measurements) - 1} of {len(drive.measurements)} for clutter"),
     ):
-        (said,) = worse_than_odometry(recording, result, alone)
-        assert f"dead reckoning to the millimetre: the measurements changed nothing, since {why}" in said
+        (printed,) = worse_than_odometry(recording, result, alone)
+        assert f"dead reckoning to the millimetre: the measurements changed nothing, since {why}" in printed
     assert "millimetre" not in "".join(worse_than_odometry(drive, result_of(poses + 2e-3 * np.eye(6)[0]), alone))
 
 
@@ -101,8 +101,8 @@ def test_replay_and_inspect_say_it(
     toy_recording(100).save(tmp_path / "a.h5")
     both = ["--estimator", "lost:Lost", "--estimator", "ekf-slam"]
     assert cli.main(["replay", "a.h5", *both, "--no-figures"]) == 0
-    said = capsys.readouterr().err
-    assert "lost:Lost departs from the odometry by" in said and "ekf-slam departs" not in said
+    printed = capsys.readouterr().err
+    assert "lost:Lost departs from the odometry by" in printed and "ekf-slam departs" not in printed
     assert cli.main(["inspect", "a.h5", *both, "--no-figure", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["estimators"]
     assert found["ekf-slam"] == [] and len(found["lost:Lost"]) == 2

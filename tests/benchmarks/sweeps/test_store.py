@@ -201,20 +201,20 @@ def test_another_program_that_locks_the_database_is_waited_for(tmp_path: Path, m
     with store.writing(tmp_path, "test", {}):
         pass
     other = sqlite3.connect(tmp_path / store.DATABASE, check_same_thread=False, isolation_level=None)
-    said: list[str] = []
+    notes: list[str] = []
 
     def let_go(text: str) -> None:
-        said.append(text)
-        if len(said) == 2 and other.in_transaction:
+        notes.append(text)
+        if len(notes) == 2 and other.in_transaction:
             other.execute("ROLLBACK")
 
     other.execute("BEGIN IMMEDIATE")
     with closing(other), store.writing(tmp_path, "test", {}, let_go) as waited:
-        assert len(said) == 2 and "another program locks it" in said[0]
+        assert len(notes) == 2 and "another program locks it" in notes[0]
         other.execute("BEGIN IMMEDIATE")
-        said.clear()
+        notes.clear()
         waited.write(row("a"), "w", "o")
-        assert len(said) == 2 and waited.status() == {"a": "ok"}
+        assert len(notes) == 2 and waited.status() == {"a": "ok"}
         monkeypatch.setattr(store, "LOCK_LIMIT_S", 0.1)
         other.execute("BEGIN IMMEDIATE")
         with pytest.raises(InputError, match="database is locked"):
