@@ -5,6 +5,10 @@ wrong clock offset at each of a hundred measurements. As a product their likelih
 though all of them are wrong together. So what a path may say has bounds, over its whole life: its measurements are at
 least as likely as clutter, and at least so likely as in the best filter, but for a factor of exp(-MOST).
 
+A transmitter that was surveyed is where it is: in a filter with a wrong clock offset its line of sight begins another
+VT, which explains the path as well from then on. What that VT explains does not count, and the line of sight may say
+more, exp(-MOST_SURVEYED).
+
 Source: bounded influence (Hampel et al., Robust Statistics, 1986); the likelihood is that of three explanations of a
 path, of which the likeliest is taken: the image of a wall, clutter, and something that is neither.
 """
@@ -16,9 +20,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.joint.state.layout import IDENT, WORTH, Filter
+from cellslam.slam.joint.state.layout import IDENT, SURVEYED, WORTH, Filter
 
 MOST = 6.0  # log-likelihood that a filter may lose by one path, against the best filter of the mixture
+MOST_SURVEYED = 20.0  # by the line of sight of a transmitter whose place is known
 BIRTH = 3.0  # log-likelihood that each VT costs: it counts for more than clutter beyond that alone
 
 
@@ -43,11 +48,12 @@ class Influence:
         identity `born` + i. Where that measurement is, in other filters, of a VT that they have, both are of one path,
         as the likeliest of these has it. log_weight (K,).
         """
-        new = self._identities(mixture)
+        new = np.unique(self._identities(mixture))
         new = new[new >= born]
         if not len(new):
             return
-        new = np.unique(new)
+        surveyed = np.setdiff1d(self._surveyed(mixture), self.ident)
+        self._add(surveyed, surveyed)
         path = new.copy()
         for n, measurements in enumerate(association[:, new - born].T):
             have = np.flatnonzero(np.isin(measurements, self.ident))
@@ -69,9 +75,17 @@ class Influence:
         self.worth[row, at[column]] = 0.0
         np.add.at(self.worth, (row, at[column]), mixture.vts.anchor[row, slot, WORTH])  # guesses at a VT are several
         left = np.isin(self.path, self.path[at])
-        self.rest = self.rest + bounded(self.worth[:, ~left], self.path[~left])
+        surveyed = self._surveyed(mixture)
+        beside = np.isin(self.path, surveyed) & ~np.isin(self.ident, surveyed)
+        counted = np.where(beside, 0.0, self.worth)
+        self.rest = self.rest + bounded(counted[:, ~left], self.path[~left], surveyed)
         self.ident, self.path, self.worth = self.ident[left], self.path[left], self.worth[:, left]
-        return np.asarray(self.rest + bounded(self.worth, self.path))
+        return np.asarray(self.rest + bounded(counted[:, left], self.path, surveyed))
+
+    def _surveyed(self, mixture: Filter) -> Ints:
+        """Return the identities of surveyed transmitters."""
+        ident = self._identities(mixture)
+        return np.unique(ident[mixture.vts.slots[: len(ident), : ident.shape[1], SURVEYED] * (ident >= 0) == 1])
 
     def _identities(self, mixture: Filter) -> Ints:
         """Return the identities (K, V) of the VTs of all filters, -1 where there is none."""
@@ -93,9 +107,11 @@ class Influence:
         return some
 
 
-def bounded(worth: Floats, path: Ints) -> Floats:
-    """Return what paths say of each filter (K,), by the log-ratios (K, v) of VTs and their paths (v,)."""
+def bounded(worth: Floats, path: Ints, surveyed: Ints) -> Floats:
+    """Return what paths say of each filter (K,), by the log-ratios (K, v) of VTs and their paths (v,); `surveyed`: those
+    of surveyed transmitters."""
     paths, column = np.unique(path, return_inverse=True)
     above = np.zeros((len(paths), len(worth)))
     np.add.at(above, column, np.maximum(worth - BIRTH, 0.0).T)
-    return np.asarray(np.maximum(above - above.max(axis=1, keepdims=True), -MOST).sum(axis=0))
+    most = np.where(np.isin(paths, surveyed), MOST_SURVEYED, MOST)[:, None]
+    return np.asarray(np.maximum(above - above.max(axis=1, keepdims=True), -most).sum(axis=0))

@@ -19,6 +19,7 @@ from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
 from cellslam.slam.joint.state.layout import IDENT, WORTH
 from tests.slam.driving import driven
 
+NONE = np.empty(0, np.int64)
 ALONE = 200  # snapshots for which one path is all that is heard of a site
 
 
@@ -47,14 +48,14 @@ def weighed(mixture: Mixture, association: Any = ((), ()), born: int = 1000) -> 
 
 def test_a_path_says_no_less_than_clutter_and_little_against_a_filter() -> None:
     worth = BIRTH + np.array([[2.0, -9.0, 50.0, -3.0], [1.5, 0.0, -20.0, 0.5]])
-    np.testing.assert_allclose(bounded(worth, np.arange(4)), [-0.5, -0.5 - MOST])
-    assert bounded(np.empty((2, 0)), np.empty(0)).tolist() == [0.0, 0.0]
+    np.testing.assert_allclose(bounded(worth, np.arange(4), NONE), [-0.5, -0.5 - MOST])
+    assert bounded(np.empty((2, 0)), np.empty(0), NONE).tolist() == [0.0, 0.0]
 
 
 def test_who_breaks_a_path_into_many_gains_nothing() -> None:
     """The second filter lost the path twice, and began it again: each VT costs, and together they are one path."""
     worth = np.array([[90.0, 0.0, 0.0], [30.0, 30.0, 30.0]])
-    np.testing.assert_allclose(bounded(worth, np.array([5, 5, 5])), [0.0, -min(2.0 * BIRTH, MOST)])
+    np.testing.assert_allclose(bounded(worth, np.array([5, 5, 5]), NONE), [0.0, -min(2.0 * BIRTH, MOST)])
 
 
 def test_a_filter_without_a_vt_loses_what_it_explains(mixture: Mixture) -> None:
