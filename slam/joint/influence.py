@@ -108,8 +108,10 @@ class Influence:
 
 
 def bounded(worth: Floats, path: Ints, surveyed: Ints) -> Floats:
-    """Return what paths say of each filter (K,), by the log-ratios (K, v) of VTs and their paths (v,); `surveyed`: those
-    of surveyed transmitters."""
+    """Return what paths say of each filter (K,), by the log-ratios (K, v) of VTs and their paths (v,).
+
+    `surveyed`: the paths of surveyed transmitters.
+    """
     paths, column = np.unique(path, return_inverse=True)
     above = np.zeros((len(paths), len(worth)))
     np.add.at(above, column, np.maximum(worth - BIRTH, 0.0).T)
