@@ -63,7 +63,7 @@ def check_outside(city: City, points_m: ArrayLike, what: str) -> None:
 
 
 def surfaces(city: City, points: Floats) -> tuple[Ints, Ints, Floats]:
-    """Return (point, building, height in m) of the surfaces over or under points (N, 3), in m, that are not vertical."""
+    """Return (point, building, height in m) of the surfaces over or under points (N, 3), in m; of no vertical ones."""
     import shapely
 
     point, triangle = city.plans.query(shapely.points(points[:, :2]))
