@@ -16,9 +16,7 @@ __all__ = ["World", "WorldConfig", "prepare", "simulate"]
 
 
 def __getattr__(name: str) -> Any:
-    """Load `cellslam.sim.world` when one of its names is asked for (PEP 562): importing the package stays
-    light.
-    """
+    """Load `cellslam.sim.world` when one of its names is asked for (PEP 562): importing the package stays light."""
     if name in __all__:
         from cellslam.sim import world
 

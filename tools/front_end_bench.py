@@ -32,6 +32,7 @@ from cellslam.sim.lte.signal.channel import frequency_response
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
 from cellslam.sim.lte.signal.receiver import Motion, Receiver, receiver_of
+from cellslam.sim.lte.signal.signal_front_end import GAIN_STD_DB, PHASE_STD_DEG
 from cellslam.sim.nr.nr_waveform import NrWaveform
 from cellslam.sim.waveform import Waveform
 
@@ -42,7 +43,6 @@ RECEIVERS: dict[str, tuple[float, Waveform, float]] = {
     "nr": (3.5e9, NrWaveform(), 19.2),
 }
 STILL = np.zeros(3)
-PHASE_STD_DEG, GAIN_STD_DB = 5.0, 0.5  # calibration errors of the studies that have them
 Row = dict[str, Any]
 
 

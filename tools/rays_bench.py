@@ -9,8 +9,8 @@ import networkx as nx
 import numpy as np
 
 from cellslam.benchmarks.trials.memory import peak_bytes
-from cellslam.sim.city import City
-from cellslam.sim.city.inside import OUTSIDE, enclosing, ground_height
+from cellslam.sim.city.city import GROUND, City
+from cellslam.sim.city.inside import OUTSIDE, enclosing, surfaces
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays import Scene, trace
 from cellslam.sim.rays.paths import Floats
@@ -78,6 +78,14 @@ def drive_in(city: City) -> Floats:
         end = max(reached, key=lambda node: (reached[node], node))
     way = nx.shortest_path(component, start, end)
     return np.array([cells[i, j] + middle for i, j in way])
+
+
+def ground_height(city: City, places_m: Floats) -> Floats:
+    """Return the height (N,) of the ground in m at places (N, 2), the lowest vertex where there is none."""
+    place, building, height = surfaces(city, np.column_stack([places_m, np.zeros(len(places_m))]))
+    found, ground = np.full(len(places_m), -np.inf), building == GROUND
+    np.maximum.at(found, place[ground], height[ground])
+    return np.where(np.isfinite(found), found, city.bounds[0, 2])
 
 
 def receivers_along(city: City, way: Floats, count: int) -> Floats:

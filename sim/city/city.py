@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from cellslam.sim.described import Described
 
 if TYPE_CHECKING:
-    from shapely import Polygon
+    from shapely import Polygon, STRtree
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -100,3 +101,12 @@ class City(Described):
     def bounds(self) -> Floats:
         """Lower and upper corner (2, 3) of all vertices, in metres."""
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    @cached_property
+    def plans(self) -> STRtree:
+        """The triangles' boxes as seen from above, to look up which lie over or under a point."""
+        import shapely
+
+        plan = self.vertices[self.triangles][:, :, :2]
+        (west, south), (east, north) = plan.min(axis=1).T, plan.max(axis=1).T
+        return shapely.STRtree(shapely.box(west, south, east, north))

@@ -6,21 +6,19 @@ import numpy as np
 
 from cellslam.sim.city.city import Facets, Floats, Ints, Tolerances
 
-WELD_M = 1e-4
+WELD_M = 1e-4  # vertices of one object that are as close are one
 # Below this height over its longest side a triangle has no usable normal; it still casts a shadow.
 SLIVER_M = 1e-6
 
 
-def weld(vertices: Floats, part: Ints, tolerance_m: float = WELD_M) -> Ints:
+def weld(vertices: Floats, part: Ints) -> Ints:
     """Return labels (V,) of vertices (V, 3) of object `part` (V,): close ones of one object share theirs."""
     from scipy.spatial import cKDTree
 
     # Objects are set apart in a fourth dimension; exact copies go first, or pairs among them would explode.
-    spread = np.column_stack([vertices - vertices.mean(axis=0), part * (10.0 * tolerance_m)])
-    _, unique, inverse = np.unique(
-        np.round(spread / (tolerance_m * 1e-2)), axis=0, return_index=True, return_inverse=True
-    )
-    pairs = cKDTree(spread[unique]).query_pairs(tolerance_m, output_type="ndarray")
+    spread = np.column_stack([vertices - vertices.mean(axis=0), part * (10.0 * WELD_M)])
+    _, unique, inverse = np.unique(np.round(spread / (WELD_M * 1e-2)), axis=0, return_index=True, return_inverse=True)
+    pairs = cKDTree(spread[unique]).query_pairs(WELD_M, output_type="ndarray")
     return connected(pairs, len(unique))[inverse.ravel()]
 
 

@@ -19,7 +19,7 @@ def enclosing(city: City, points_m: ArrayLike) -> Ints:
     parts inside one another come out right, floors are not needed. Surfaces a centimetre apart count once.
     """
     points = np.asarray(points_m, np.float64).reshape(-1, 3)
-    point, building, height = _surfaces(city, points)
+    point, building, height = surfaces(city, points)
     above = height > points[point, 2]
     found = np.full(len(points), OUTSIDE, np.int64)
     ground_above = np.zeros(len(points), np.bool_)
@@ -40,14 +40,10 @@ def enclosing(city: City, points_m: ArrayLike) -> Ints:
     return found
 
 
-def ground_height(city: City, points_m: ArrayLike) -> Floats:
-    """Return the height (N,) of the ground in m at horizontal points (N, 2), the lowest vertex where there is none."""
-    flat = np.asarray(points_m, np.float64).reshape(-1, np.shape(points_m)[-1])[:, :2]
-    point, building, height = _surfaces(city, np.column_stack([flat, np.zeros(len(flat))]))
-    ground = building == GROUND
-    found = np.full(len(flat), -np.inf)
-    np.maximum.at(found, point[ground], height[ground])
-    return np.where(np.isfinite(found), found, city.bounds[0, 2])
+def roof_height(city: City, x_m: float, y_m: float) -> float:
+    """Return the height of the highest building surface at (x, y); -inf in the open."""
+    _, building, height = surfaces(city, np.array([[x_m, y_m, 0.0]]))
+    return float(height[building != GROUND].max(initial=-np.inf))
 
 
 def check_outside(city: City, points_m: ArrayLike, what: str) -> None:
@@ -58,7 +54,7 @@ def check_outside(city: City, points_m: ArrayLike, what: str) -> None:
         place = ", ".join(f"{c:.2f}" for c in points[index])
         if where[index] == UNDERGROUND:
             raise InputError(f"{what} {index} at ({place}) is under the ground: raise it")
-        _, building, height = _surfaces(city, points[index : index + 1])
+        _, building, height = surfaces(city, points[index : index + 1])
         roof = float(height[building == where[index]].max())
         raise InputError(
             f"{what} {index} at ({place}) is inside building {where[index]}, whose roof is at {roof:.2f} m there: "
@@ -66,15 +62,12 @@ def check_outside(city: City, points_m: ArrayLike, what: str) -> None:
         )
 
 
-def _surfaces(city: City, points: Floats) -> tuple[Ints, Ints, Floats]:
-    """Return (point, building, height) of all surfaces over or under the points that are not vertical."""
+def surfaces(city: City, points: Floats) -> tuple[Ints, Ints, Floats]:
+    """Return (point, building, height in m) of the surfaces over or under points (N, 3), in m; of no vertical ones."""
     import shapely
 
-    corners = city.vertices[city.triangles]
-    low, high = corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)
-    tree = shapely.STRtree(shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1]))
-    point, triangle = tree.query(shapely.points(points[:, :2]))
-    a, b, c = corners[triangle].transpose(1, 0, 2)
+    point, triangle = city.plans.query(shapely.points(points[:, :2]))
+    a, b, c = city.vertices[city.triangles[triangle]].transpose(1, 0, 2)
     p = points[point]
     area = _cross(b - a, c - a)
     flat = np.abs(area) > 1e-9

@@ -40,9 +40,7 @@ class Steering(NamedTuple):
 
 @dataclass(frozen=True)
 class PathSet:
-    """Paths (n,) at the array: length in m, direction in the body frame, weights (n, 2) of the received (H,
-    V) field.
-    """
+    """Paths (n,) at the array: length in m, direction in the body frame, weights (n, 2) of the received H and V."""
 
     distance_m: Floats
     azimuth_rad: Floats
@@ -192,8 +190,7 @@ def miscalibrated(
 
 
 def switching_times_s(array: CircularArray, order: Literal["column", "ring"] = "column") -> Floats:
-    """Return when each port is sampled (ports,), from the start of the snapshot: gain control, then 0.5 ms a
-    port.
+    """Return when each port is sampled (ports,), from the start of the snapshot: gain control, then 0.5 ms a port.
 
     "column": all rings of one column, then the next column; "ring": round one ring, then the next.
     """
@@ -212,8 +209,7 @@ def doppler_phasors(
 ) -> Complex:
     """Return exp(j 2 pi nu t) (n, ports) of n directions for a receiver moving with body velocity (3,).
 
-    nu = v . n / wavelength, n pointing to where the wave comes from; the phase is zero at the mean sampling
-    time.
+    nu = v . n / wavelength, n pointing to where the wave comes from; the phase is zero at the mean sampling time.
     """
     towards = np.atleast_2d(unit_vector(azimuth_rad, elevation_rad))
     shift_hz = towards @ np.asarray(velocity_mps, np.float64) * carrier_hz / SPEED_OF_LIGHT_MPS

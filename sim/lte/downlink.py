@@ -65,9 +65,7 @@ def reference_symbols(port: int, cyclic_prefix: CyclicPrefix = "normal") -> tupl
 
 
 def first_subcarrier(cell_id: int, port: int, slot: int, symbol: int) -> int:
-    """Return the lowest reference subcarrier (v + v_shift) mod 6 of a port and symbol (TS 36.211,
-    6.10.1.2).
-    """
+    """Return the lowest reference subcarrier (v + v_shift) mod 6 of a port and symbol (TS 36.211, 6.10.1.2)."""
     if port >= 2:
         return (3 * (slot % 2) + 3 * (port - 2) + cell_id) % 6
     return ((0 if (port == 0) == (symbol == 0) else 3) + cell_id) % 6

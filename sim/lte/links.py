@@ -19,9 +19,7 @@ from cellslam.sim.recording import Floats, Ints, Links
 
 @dataclass(frozen=True)
 class Cells:
-    """Sector cells (C,): site index, cell ID, boresight azimuth (world, counter-clockwise from east),
-    downtilt, ports.
-    """
+    """Sector cells (C,): site, cell ID, boresight azimuth (world, counter-clockwise from east), downtilt, ports."""
 
     site: Ints
     cell_id: Ints
@@ -31,9 +29,7 @@ class Cells:
 
 
 def cells_of(sites: Sequence[Any]) -> Cells:
-    """Return the cells of site configurations in their order. Raises InputError where two cells share an
-    ID.
-    """
+    """Return the cells of site configurations in their order. Raises InputError where two cells share an ID."""
     rows = [(s, cell, site.ports) for s, site in enumerate(sites) for cell in site.cells]
     ids = [cell.cell_id for _, cell, _ in rows]
     for cell_id in ids:

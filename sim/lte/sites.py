@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from cellslam.sim.city.inside import roof_height
 from cellslam.sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -99,25 +100,6 @@ def place_sites(
             placed.append(_drawn(city, route, site, placed, rng, within_m))
             out.append(placed[-1])
     return np.array(out, np.float64).reshape(-1, 3)
-
-
-def roof_height(city: City, x_m: float, y_m: float) -> float:
-    """Return the height of the highest building surface at (x, y); -inf in the open."""
-    corner = city.vertices[city.triangles[city.facets.building[city.triangle_facet] >= 0]]
-    near = ((corner[:, :, :2].min(axis=1) <= (x_m, y_m)) & (corner[:, :, :2].max(axis=1) >= (x_m, y_m))).all(axis=1)
-    a, b, c = corner[near].transpose(1, 0, 2)
-    area = _cross(b - a, c - a)
-    flat = np.abs(area) > 1e-9
-    a, b, c, area = a[flat], b[flat], c[flat], area[flat]
-    point = np.array([x_m, y_m, 0.0])
-    u, v = _cross(point - a, c - a) / area, _cross(b - a, point - a) / area
-    inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9)
-    height = a[:, 2] + u * (b - a)[:, 2] + v * (c - a)[:, 2]
-    return float(height[inside].max(initial=-np.inf))
-
-
-def _cross(p: Floats, q: Floats) -> Floats:
-    return np.asarray(p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0])
 
 
 def _checked(city: City, site: SiteConfig) -> Floats:

@@ -1,9 +1,8 @@
 """Compiled search for first-order specular points: exact culls per block, then the image method.
 
 A facet's plane coordinates are (u, v), in metres along its two unit vectors; the image of a transmitter lies at its own
-(u, v), as far behind the plane as the transmitter is before it. Source: image method,
-which gives the virtual transmitters of the extended FastSLAM paper, section III; culls per block: own,
-docs/explanation/rays.md.
+(u, v), as far behind the plane as the transmitter is before it. Source: image method, which gives the virtual
+transmitters of the extended FastSLAM paper, section III; culls per block: own, docs/explanation/rays.md.
 """
 
 from __future__ import annotations

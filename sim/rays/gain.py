@@ -65,8 +65,7 @@ def path_gain(
 ) -> Complexes:  # fmt: skip
     """Return gain matrices (P, 2, 2) of paths with the corners (P, 4, 3) in m: transmitter, points, receiver.
 
-    A path of order n uses its first n + 2 corners. `facets` (P, 2) index `normals` (F, 3) and `material`
-    (F,).
+    A path of order n uses its first n + 2 corners. `facets` (P, 2) index `normals` (F, 3) and `material` (F,).
     """
     wavelength = SPEED_OF_LIGHT_MPS / carrier_hz
     legs = np.diff(corners, axis=1)

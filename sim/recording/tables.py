@@ -114,9 +114,8 @@ class Measurements(Described):
     """Path parameters, one row a path, sorted by (snapshot, link); all columns (M,).
 
     `distance_m` is c tau with the site's clock offset in it; azimuth and elevation are in the body frame; `snr_db` is
-    rho,
-    per sample. NaN: this component was not measured. The standard deviations are those that the front end
-    claims, and None where it claims none.
+    rho, per sample. NaN: this component was not measured. The standard deviations are those that the front end claims,
+    and None where it claims none.
     """
 
     snapshot: Ints
@@ -138,8 +137,7 @@ class VirtualTransmitters(Described):
     """The VTs that the drive meets. A line-of-sight transmitter is one too, of order 0.
 
     `position_m` (V, 3); `site` (V,); `order` (V,); `facets` (V, 2), -1 where there is none; `visible` (I, 3): rows of
-    VT,
-    first and last snapshot of an interval in which the path exists (detected or not).
+    VT, first and last snapshot of an interval in which the path exists (detected or not).
     """
 
     position_m: Floats

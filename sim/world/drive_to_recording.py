@@ -122,9 +122,7 @@ def known_of(world: Reception) -> tuple[Links, Sites]:
 
 
 def provenance(config: WorldConfig, seed: int, trial: int) -> dict[str, Any]:
-    """Return what is needed to make a recording again: resolved world, root seed, trial, versions.
-    JSON-able.
-    """
+    """Return what is needed to make a recording again: resolved world, root seed, trial, versions. JSON-able."""
     return {"world": config.model_dump(mode="json"), "seed": seed, "trial": trial, "versions": versions()}
 
 
@@ -137,9 +135,8 @@ def versions() -> dict[str, str]:
 
 
 def virtual_transmitters(paths: Paths, free: NDArray[np.bool_] | None = None) -> tuple[VirtualTransmitters, Ints]:
-    """Return the VTs of a drive's paths, one per (site, facets), with their visible intervals, and the VT of
-    each path (P,), -1 if a vehicle reflects it. `free` (P,): which paths exist, None for all; a VT may have none of
-    these.
+    """Return the VTs of a drive's paths, one per (site, facets), with their visible intervals, and the VT of each path
+    (P,), -1 if a vehicle reflects it. `free` (P,): which paths exist, None for all; a VT may have none of these.
     """
     from cellslam.sim.traffic import reflecting_vehicle
 
@@ -160,9 +157,7 @@ def virtual_transmitters(paths: Paths, free: NDArray[np.bool_] | None = None) ->
 
 
 def visible_intervals(vt: Ints, snapshot: Ints) -> Ints:
-    """Return (I, 3): VT, first and last snapshot of each run of consecutive snapshots in which the VT has a
-    path.
-    """
+    """Return (I, 3): VT, first and last snapshot of each run of consecutive snapshots in which the VT has a path."""
     order = np.lexsort((snapshot, vt))
     v, t = vt[order], snapshot[order]
     new = np.ones(len(v), bool)

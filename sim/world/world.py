@@ -168,8 +168,7 @@ class World(Reception):
     def measure(
         self, pose: Floats, velocity: Floats, snapshot: int, rng: Streams, odometry: Floats | None = None
     ) -> tuple[Detections, Paths]:
-        """Return what the receiver reports at `pose` (6,), numbered `snapshot`, and the paths that exist
-        there.
+        """Return what the receiver reports at `pose` (6,), numbered `snapshot`, and the paths that exist there.
 
         `velocity` (6,) is the true body velocity during the snapshot, `odometry` (6,) what the receiver knows of it
         (None: the truth). `rng` advances: calls along a drive, in order and with the same streams, give the drive's
@@ -260,9 +259,7 @@ def draw_reception(
 
 
 def path_columns(paths: Paths, receivers: int, sites: int) -> PathColumns:
-    """Return the columns of traced paths that the front ends read; paths are sorted by receiver, then
-    site.
-    """
+    """Return the columns of traced paths that the front ends read; paths are sorted by receiver, then site."""
     from cellslam.sim.lte.statistical.detector_layout import PathColumns
 
     key = paths.receiver * sites + paths.transmitter
@@ -272,9 +269,7 @@ def path_columns(paths: Paths, receivers: int, sites: int) -> PathColumns:
 
 
 def city_rng(config: WorldConfig, seed: int, trial: int) -> np.random.Generator:
-    """Return the generator that draws the city: of its own seed, or of the trial where `city.seed` is
-    "trial".
-    """
+    """Return the generator that draws the city: of its own seed, or of the trial where `city.seed` is "trial"."""
     return stream(*_city_root(config, seed, trial), Stream.CITY)
 
 

@@ -23,7 +23,7 @@ from cellslam.sim.lte.error_bounds import bound_scales
 from cellslam.sim.lte.links import Cells, cells_of, slant
 from cellslam.sim.lte.persisting_errors import draw_fields
 from cellslam.sim.lte.radio_config import NR_BANDS
-from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE, SignalLevel, signal_level
+from cellslam.sim.lte.signal.signal_front_end import GAIN_STD_DB, PHASE_STD_DEG, SignalLevel, signal_level
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
 from cellslam.sim.lte.statistical.measurement_kernel import array_gain, path_power
@@ -121,10 +121,7 @@ def signal_bench(config: RadioConfig) -> SignalLevel:
 
 def in_scene(front_end: SignalLevel, rng: np.random.Generator) -> SignalLevel:
     """Return the front end with another array and other surroundings."""
-    array = miscalibrated(
-        array_at(front_end.config.carrier_hz), DEFAULT_HARDWARE.phase_std_deg,
-        DEFAULT_HARDWARE.gain_std_db, rng,
-    )  # fmt: skip
+    array = miscalibrated(array_at(front_end.config.carrier_hz), PHASE_STD_DEG, GAIN_STD_DB, rng)
     surroundings = replace(front_end.surroundings, entropy=int(rng.integers(2**32)))
     return replace(front_end, array=array, surroundings=surroundings)
 

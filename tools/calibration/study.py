@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.sim.lte.radio_config import RadioConfig
-from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE
+from cellslam.sim.lte.signal.signal_front_end import GAIN_STD_DB, PHASE_STD_DEG
 from cellslam.sim.lte.statistical.detector_layout import GAMMA_STEP_DB, NOTHING_STANDS, PathColumns
 from cellslam.sim.lte.statistical.statistics import parse
 from cellslam.sim.progress import Progress
@@ -99,6 +99,6 @@ def provenance(radio: RadioConfig, scenes: int, seed: int) -> dict[str, Any]:
         f"--resource-blocks {radio.resource_blocks} --scenes {scenes} --seed {seed}",
         "versions": {name: version(name) for name in ("cellslam", "numpy", "scipy", "numba")}
         | {"python": platform.python_version()},
-        "hardware": {"phase_std_deg": DEFAULT_HARDWARE.phase_std_deg, "gain_std_db": DEFAULT_HARDWARE.gain_std_db},
+        "hardware": {"phase_std_deg": PHASE_STD_DEG, "gain_std_db": GAIN_STD_DB},
         "ratios_db": list(RATIOS_DB),
     }

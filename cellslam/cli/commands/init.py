@@ -21,10 +21,11 @@ from cellslam.cli.progress_bars import bars
 from cellslam.scenarios.loading import from_tables, load, preset_names
 from cellslam.sim.city.city import City, Floats
 from cellslam.sim.city.files.osm import local_m
+from cellslam.sim.city.inside import roof_height
 from cellslam.sim.city.ways import ways_between
 from cellslam.sim.data_files import json_of, text_of
 from cellslam.sim.errors import InputError, one_line
-from cellslam.sim.lte.sites import ABOVE_ROOF_M, LOWEST_M, CellConfig, SiteConfig, place_sites, roof_height
+from cellslam.sim.lte.sites import ABOVE_ROOF_M, LOWEST_M, CellConfig, SiteConfig, place_sites
 from cellslam.sim.vehicle.route import MARGIN_M, Route, plan_route
 from cellslam.sim.vehicle.vehicle_config import VehicleConfig
 

@@ -37,18 +37,9 @@ from cellslam.sim.waveform.waveform import Waveform
 SNAPSHOT_S = 0.075
 # An estimate within this of a true path, in the sense of squares, comes from it: half a resolution cell of LTE.
 SAME_PATH = 2.0 * np.array([4.6, np.radians(7.7), np.radians(8.0)])
-
-
-@dataclass(frozen=True)
-class Hardware:
-    """Errors per array port and of the sites' carriers."""
-
-    phase_std_deg: float = 5.0
-    gain_std_db: float = 0.5
-    carrier_offset_std_hz: float = 0.03
-
-
-DEFAULT_HARDWARE = Hardware()
+# Calibration errors of the array, by port; errors of the sites' carriers.
+PHASE_STD_DEG, GAIN_STD_DB = 5.0, 0.5
+CARRIER_OFFSET_STD_HZ = 0.03
 
 
 @dataclass(frozen=True)
@@ -242,9 +233,8 @@ class SignalLevel:
 
 
 def signal_level(
-    config: RadioConfig, cells: Cells, offsets_m: Floats, fields: Fields, rng: np.random.Generator,
-    hardware: Hardware = DEFAULT_HARDWARE,
-) -> SignalLevel:  # fmt: skip
+    config: RadioConfig, cells: Cells, offsets_m: Floats, fields: Fields, rng: np.random.Generator
+) -> SignalLevel:
     """Draw a trial's receiver array and surroundings; clock `offsets_m` (S,) of the sites in m.
 
     Raises InputError where the cells, or keys of the configuration, do not suit the front end.
@@ -264,14 +254,14 @@ def signal_level(
         window_max_m=config.window_max_m, ghost_rule_db=config.ghost_rule_db,
     )  # fmt: skip
     array_rng = rng if config.array_seed is None else stream(config.array_seed, 1, Stream.ARRAY)
-    array = miscalibrated(array_at(config.carrier_hz), hardware.phase_std_deg, hardware.gain_std_db, array_rng)
+    array = miscalibrated(array_at(config.carrier_hz), PHASE_STD_DEG, GAIN_STD_DB, array_rng)
     # Calibration errors come from the array, diffuse ones from the scatterers: only the rest is drawn as such.
     angles = fields.direction_std * np.array([1.0, 0.0, 0.0, 1.0, 1.0])
     remaining = fields._replace(direction_std=angles, place_std=np.zeros(3))
     # A finer resolution needs more scatterers: as many in a cell as in LTE's.
     scatterers = round(SCATTERERS / receiver.finer)
     surroundings = Surroundings(int(rng.integers(2**32)), config.specular_to_diffuse_db, scatterers)
-    carrier = hardware.carrier_offset_std_hz * rng.standard_normal(len(offsets_m))
+    carrier = CARRIER_OFFSET_STD_HZ * rng.standard_normal(len(offsets_m))
     return SignalLevel(config, waveform, cells, offsets_m, carrier, remaining, surroundings, array, receiver)
 
 

@@ -30,9 +30,7 @@ TABLE_START_DB, TABLE_STEP_DB = -20.0, 0.05
 
 
 class LinkTable(NamedTuple):
-    """Links (L,) sorted as in the recording, and the cells (C,) that they belong to; `slant` (L, 2) is (H,
-    V).
-    """
+    """Links (L,) sorted as in the recording, and the cells (C,) that they belong to; `slant` (L, 2) is (H, V)."""
 
     site: Array
     cell: Array

@@ -137,9 +137,7 @@ def write_claims(row: Array, gamma: float, elevation: float, model: Model) -> No
 
 @part
 def fold(row: Array) -> None:
-    """Bring elevation into [-pi/2, pi/2] (over the pole turns the azimuth round) and azimuth into (-pi,
-    pi].
-    """
+    """Bring elevation into [-pi/2, pi/2] (over the pole turns the azimuth round) and azimuth into (-pi, pi]."""
     elevation = wrap(row[k.ELEVATION])
     if elevation > 0.5 * math.pi:
         elevation, row[k.AZIMUTH] = math.pi - elevation, row[k.AZIMUTH] + math.pi

@@ -10,9 +10,10 @@ import pytest
 import shapely
 
 from cellslam.sim.city.assemble import assemble, prism
+from cellslam.sim.city.inside import roof_height
 from cellslam.sim.city.materials import itu_material
 from cellslam.sim.errors import InputError
-from cellslam.sim.lte.sites import CellConfig, SiteConfig, place_sites, roof_height
+from cellslam.sim.lte.sites import CellConfig, SiteConfig, place_sites
 
 CELL = (CellConfig(cell_id=1),)
 

@@ -1,4 +1,4 @@
-"""In which slots the signal is sent: slot by slot after the clause, and by hand."""
+"""In which slots the signal is sent: slot by slot after the clause."""
 
 from __future__ import annotations
 
@@ -40,14 +40,6 @@ def test_it_is_the_clause_slot_by_slot() -> None:
         assert got.tolist() == [
             slot for slot in range(900) if sent(slot, period, shift, repetition, gap, muting, every, of_repetition)
         ]
-
-
-def test_by_hand() -> None:
-    assert prs_slots(0, 10, 40, offset=3).tolist() == [3, 13, 23, 33]
-    assert prs_slots(0, 10, 22, offset=9, resource_offset=2).tolist() == [1, 11, 21]
-    assert prs_slots(1, 20, 40, repetition=4, gap=2).tolist() == [0, 2, 4, 6, 20, 22, 24, 26]
-    assert prs_slots(0, 5, 40, muting=[1, 0], muting_repetition=2).tolist() == [0, 5, 20, 25]
-    assert prs_slots(0, 20, 40, repetition=2, muting=[0, 1], repetition_muting=[0, 1]).tolist() == [21]
 
 
 @pytest.mark.parametrize(

@@ -73,8 +73,7 @@ def estimate_paths(y: Complex, motion: Motion, start: Floats | None = None) -> E
     """Return the paths in a link's samples (ports, tones); `start` (n, 3) in m, rad, rad: to begin with (tracking).
 
     Ports that deliver nothing, or nothing finite, are left out; so are saturated ones, whose samples the paths of the
-    other ports do not explain. Raises InputError where no port delivers anything, and for samples of
-    another shape.
+    other ports do not explain. Raises InputError where no port delivers anything, and for samples of another shape.
     """
     expected = (motion.receiver.array.ports, len(motion.receiver.tones_hz))
     if y.shape != expected:
