@@ -33,7 +33,8 @@ def shares(plan: Plan, count: int) -> list[Plan]:
     worth = [costs[task.world][0] + costs[task.world][1] * len(task.jobs) for task in plan.tasks]
     loads = [(0.0, shard) for shard in range(count)]
     members: list[list[int]] = [[] for _ in range(count)]
-    for place in sorted(range(len(worth)), key=lambda place: -worth[place]):
+    # Trials of a world one after the other, so that all shards have some: what it costs is only expected.
+    for place in sorted(range(len(worth)), key=lambda place: (-worth[place], plan.tasks[place].world)):
         load, shard = heapq.heappop(loads)
         members[shard].append(place)
         heapq.heappush(loads, (load + worth[place], shard))

@@ -242,7 +242,10 @@ def reading(folder: Path) -> Iterator[sqlite3.Connection]:
             f"{folder}: no results of a run or sweep there (no {DATABASE}); 'cellslam sweep ... --out DIR' makes them"
         )
     address = _address(files[0]) if len(files) == 1 else "file::memory:"
-    with _explained(folder, "read"), closing(sqlite3.connect(address, uri=True, isolation_level=None)) as database:
+    with (
+        _explained(files[0].parent, "read", files[0].name),
+        closing(sqlite3.connect(address, uri=True, isolation_level=None)) as database,
+    ):
         if len(files) == 1:
             _check_version(files[0], database)
         else:

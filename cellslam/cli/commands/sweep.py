@@ -16,7 +16,6 @@ from cellslam.benchmarks.sweeps.store import statuses, writing, writing_shard
 from cellslam.benchmarks.sweeps.sweeping import carry_out, pending, seconds_of
 from cellslam.benchmarks.sweeps.tasks import Plan, options_json, plan, world_json
 from cellslam.benchmarks.sweeps.watch import Tally, clock, label, watching
-from cellslam.benchmarks.trials.child_process import Limits
 from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, check_counts
 from cellslam.cli.arguments import DONE, FAILED, INTERRUPTED, REPEATED, SET_HELP, WORK, add, limits, whole
@@ -94,15 +93,14 @@ def carry_plan(arguments: Namespace, made: Plan, of: str, names: Names, out: Pat
     part = parts[number - 1]
     todo = pending(part, out, arguments.retry_failed)
     if arguments.script or arguments.dry_run:
+        print(f"{of}, {_size(part, todo)}", file=sys.stderr if arguments.script else sys.stdout)
         with Serial(allowed) as one:
             seconds, timed = seconds_of(todo, one.external)
         if arguments.script:
             sys.stdout.write(script(arguments, len(part.tasks), seconds, out))
-        else:
-            print(f"{of}, {_size(part, todo)}")
-            shown = ", ".join(f"{name} {clock(value)}" for name, value in timed.items())
-            about = f"about {clock(seconds / jobs)} on {_counted(jobs, 'core')} (one trial, timed now: {shown})\n"
-            sys.stdout.write(about if timed else "")
+        elif timed:
+            parts_s = ", ".join(f"{name} {clock(value)}" for name, value in timed.items())
+            print(f"about {clock(seconds / jobs)} on {_counted(jobs, 'core')} (one trial, timed now: {parts_s})")
         return DONE
     note(arguments, _size(part, todo))
     stored = statuses(out)
