@@ -44,7 +44,7 @@ def shares(plan: Plan, count: int) -> list[Plan]:
 def note_shares(folder: Path, parts: Mapping[str, Plan]) -> None:
     """Keep the keys that each command is to make, so that others see what is missing. Raises InputError."""
     keys = {command: [job.key for task in part.tasks for job in task.jobs] for command, part in parts.items()}
-    content, path = json.dumps(keys, indent=0).encode(), folder / SHARES
+    content, path = json.dumps(keys).encode(), folder / SHARES
     try:
         # Every shard of a sweep writes the same.
         if not path.is_file() or path.read_bytes() != content:

@@ -16,6 +16,7 @@ from cellslam.benchmarks.sweeps.store import statuses, writing, writing_shard
 from cellslam.benchmarks.sweeps.sweeping import carry_out, pending, seconds_of
 from cellslam.benchmarks.sweeps.tasks import Plan, options_json, plan, world_json
 from cellslam.benchmarks.sweeps.watch import Tally, clock, label, watching
+from cellslam.benchmarks.trials.child_process import Limits
 from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, check_counts
 from cellslam.cli.arguments import DONE, FAILED, INTERRUPTED, REPEATED, SET_HELP, WORK, add, limits, whole
@@ -93,14 +94,7 @@ def carry_plan(arguments: Namespace, made: Plan, of: str, names: Names, out: Pat
     part = parts[number - 1]
     todo = pending(part, out, arguments.retry_failed)
     if arguments.script or arguments.dry_run:
-        print(f"{of}, {_size(part, todo)}", file=sys.stderr if arguments.script else sys.stdout)
-        with Serial(allowed) as one:
-            seconds, timed = seconds_of(todo, one.external)
-        if arguments.script:
-            sys.stdout.write(script(arguments, len(part.tasks), seconds, out))
-        elif timed:
-            parts_s = ", ".join(f"{name} {clock(value)}" for name, value in timed.items())
-            print(f"about {clock(seconds / jobs)} on {_counted(jobs, 'core')} (one trial, timed now: {parts_s})")
+        _foretell(arguments, f"{of}, {_size(part, todo)}", todo, allowed, out)
         return DONE
     note(arguments, _size(part, todo))
     stored = statuses(out)
@@ -109,10 +103,11 @@ def carry_plan(arguments: Namespace, made: Plan, of: str, names: Names, out: Pat
     whole = shlex.join(whole_command(arguments.words))
     commands = [f"{whole} --shard {n}/{count}" for n in range(1, count + 1)] if arguments.shard else [whole]
     command, tally = commands[number - 1], Tally(len(todo), names)
-    if arguments.shard:
-        opened = writing_shard(out, number, count, command, versions())
-    else:
-        opened = writing(out, command, versions(), partial(note, arguments))
+    opened = (
+        writing_shard(out, number, count, command, versions())
+        if arguments.shard
+        else writing(out, command, versions(), partial(note, arguments))
+    )
     try:
         if todo:  # what is finished can be asked for again where nothing can be written
             with opened as store:
@@ -125,6 +120,19 @@ def carry_plan(arguments: Namespace, made: Plan, of: str, names: Names, out: Pat
         sys.stderr.write(f"interrupted: {kept}; the same command goes on from there: {command}\n")
         return INTERRUPTED
     return _ended(arguments, part, tally, out)
+
+
+def _foretell(arguments: Namespace, size: str, todo: Plan, allowed: Limits, out: Path) -> None:
+    """Print how long a plan of that size takes, or the script that carries it out."""
+    print(size, file=sys.stderr if arguments.script else sys.stdout)
+    with Serial(allowed) as one:
+        seconds, parts = seconds_of(todo, one.external)
+    if arguments.script:
+        sys.stdout.write(script(arguments, len(todo.tasks), seconds, out))
+    elif parts:
+        jobs = processes(arguments)
+        timed = ", ".join(f"{name} {clock(value)}" for name, value in parts.items())
+        print(f"about {clock(seconds / jobs)} on {_counted(jobs, 'core')} (one trial, timed now: {timed})")
 
 
 def _ended(arguments: Namespace, part: Plan, tally: Tally, out: Path) -> int:
