@@ -46,7 +46,7 @@ class Tally:
         """Count a row of a job."""
         self.count(self.names.get((task.world, job.estimator, job.options), job.estimator), row)
 
-    def count(self, name: str, row: Mapping[str, Any]) -> None:
+    def count(self, name: str, row: Mapping[Any, Any]) -> None:
         """Count a row that is called `name`."""
         self.done += 1
         if row["status"] == "failed":
