@@ -69,9 +69,7 @@ def command(arguments: Namespace) -> int:
         failures += [f"merged {what}" for what in ("rows", "table") if _kept(one, what) != _kept(many, what)]
     print(f"killed shards had kept so many rows: {kept}")
     more = spent / len(calm) - cpu_s / count
-    print(
-        f"a shard takes {more:.2f} s of processor time beside its share of the work, a copy each row, no process started"
-    )
+    print(f"a shard takes {more:.2f} s of processor time beside its work, with a copy each row, but for its start")
     print(f"differing: {', '.join(failures)}" if failures else "rows, tables and trajectories are those of one")
     return FAILED if failures else DONE
 
