@@ -184,7 +184,7 @@ def sweep(
     processes = jobs or cores()
     command = f"cellslam.sweep({str(scenario)!r}, {dict(axes)!r})"
     with writing(Path(out), command, versions()) as store:
-        todo = pending(plan(asked, trials, seed), store, retry_failed=False)
+        todo = pending(plan(asked, trials, seed), store.folder, retry_failed=False)
         with executor("processes", processes, shares(processes)) as pool, progress("trials", len(todo)) as advance:
             carry_out(todo, store, pool, lambda *_: advance(1))
     return SweepView(Path(out))

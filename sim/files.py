@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import stat
 import tempfile
 from pathlib import Path
@@ -13,7 +14,8 @@ def write_durably(path: Path, content: bytes) -> None:
 
     On return both the content and its name are on the disk. Raises OSError; the temporary file never stays.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    # On a network disk processes of other machines may have the same number.
+    temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
     try:
         with temporary.open("wb") as file:
             file.write(content)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from cellslam.benchmarks.sweeps.executors import Serial, executor
-from cellslam.benchmarks.sweeps.store import DATABASE, Store, writing
+from cellslam.benchmarks.sweeps.store import DATABASE, Store, statuses, writing
 from cellslam.benchmarks.sweeps.sweeping import carry_out, seconds_of
 from cellslam.benchmarks.sweeps.tasks import Plan, plan
 from cellslam.benchmarks.trials import trials
@@ -93,7 +93,7 @@ def rates(points: tuple[sweeps.Point, ...], count: int, jobs: int, place: Path, 
                 out["overhead_ms_per_trial"] = round(1e3 * (own - inner["cpu_s"]) / count, 2)
             else:
                 out["driver_ms_per_trial"] = round(1e3 * own / count, 2)
-            if any(status != "ok" for status in store.status().values()):
+            if any(status != "ok" for status in statuses(store.folder).values()):
                 raise InputError("a trial failed: these times mean nothing; 'cellslam sweep' says what is wrong")
     return {**out, "ratio": round(out["serial_seconds"] / out["processes_seconds"], 3)}
 

@@ -1,4 +1,9 @@
-"""The store of a sweep: one SQLite database in a folder, a row a job, trajectories beside it; one process writes it."""
+"""The store of a sweep: a row a job in an SQLite database, trajectories beside it; one process writes it.
+
+On a local disk that is one database, which is resumed. Each run of a shard has a database of its own in memory, and
+puts whole copies of it into the folder of the shard, under a name of its own: nothing is locked or written twice, so
+that the folder may be on a network disk. Readers see all databases of a folder as one.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +13,14 @@ import json
 import os
 import platform
 import re
+import secrets
 import sqlite3
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
+from datetime import datetime
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
@@ -27,6 +34,8 @@ if TYPE_CHECKING:
     from cellslam.benchmarks.sweeps.trajectories import Trajectory
 
 LOCK, DATABASE = "lock", "results.sqlite"
+SHARD, RUN = "shard-*-of-*", "run-*.sqlite"  # patterns: folder of a shard, database of one of its runs
+CHECKPOINT_S = 60.0  # between copies: what a killed run of a shard loses, against milliseconds a copy
 TRAJECTORIES = "trajectories"
 SCHEMA = 4
 # Columns beside those of a row: ids of world and options, which process wrote it, and how often it was tried.
@@ -66,21 +75,17 @@ PRAGMA user_version = {SCHEMA};
 
 @dataclass
 class Store:
-    """The open store of the one process that writes it; see `writing`. `note` gets a line where it waits."""
+    """The open store of the one process that writes it; see `writing` and `writing_shard`.
+
+    `note` gets a line where it waits; `copy`: the file that copies of a database in memory go to.
+    """
 
     folder: Path
     database: sqlite3.Connection
     run: int
     note: Note
-
-    def status(self) -> dict[str, str]:
-        """Return the status of every key that is stored."""
-        return self._patiently(lambda: dict(self.database.execute("SELECT key, status FROM rows")))
-
-    @cached_property
-    def lost(self) -> frozenset[str]:
-        """The keys whose trajectory was missing or damaged when the store was opened."""
-        return self._patiently(lambda: lost_trajectories(self.folder, self.database))
+    copy: Path | None = None
+    copied_s: float = field(default_factory=time.monotonic)
 
     def declare(self, plan: Plan) -> None:
         """Keep the worlds and options of a plan, for the tables."""
@@ -112,6 +117,15 @@ class Store:
                 self.database.execute(f"INSERT OR REPLACE INTO rows ({columns}) VALUES ({marks})", values)
 
         self._patiently(insert)
+        if time.monotonic() - self.copied_s > CHECKPOINT_S:
+            self.checkpoint()
+
+    def checkpoint(self) -> None:
+        """Copy a database that is in memory, whole or not at all."""
+        if self.copy is not None:
+            with _explained(self.folder):
+                write_durably(self.copy, self.database.serialize())
+        self.copied_s = time.monotonic()
 
     def _patiently(self, action: Callable[[], Answer]) -> Answer:
         with _explained(self.folder):
@@ -136,15 +150,30 @@ def writing(folder: Path, command: str, versions: Mapping[str, str], note: Note 
     with only_writer(folder, command), _explained(folder):
         database = sqlite3.connect(folder / DATABASE, timeout=LOCK_NOTE_S)
         with closing(database):
-            made = (time.strftime("%F %T%z"), platform.node(), _storable(command), json.dumps(dict(versions)))
+            run = _patiently(lambda: _begin(folder, database, command, versions), folder, note)
+            yield Store(folder, database, run, note)
 
-            def begin() -> int:
-                _prepare(folder, database)
-                with database:
-                    statement = "INSERT INTO runs (started, host, command, versions) VALUES (?, ?, ?, ?)"
-                    return int(database.execute(statement, made).lastrowid or 0)
 
-            yield Store(folder, database, _patiently(begin, folder, note), note)
+@contextmanager
+def writing_shard(folder: Path, number: int, count: int, command: str, versions: Mapping[str, str]) -> Iterator[Store]:
+    """Open a store of its own for this run of a shard, in memory; copies of it go into the shard's folder in `folder`,
+    at once, every minute, and at the end.
+
+    Several may be open at the same time, also of one shard. Raises InputError as `writing` does.
+    """
+    check_folder(folder)
+    place = folder / f"shard-{number}-of-{count}"
+    with _explained(folder):
+        place.mkdir(parents=True, exist_ok=True)
+    with closing(sqlite3.connect(":memory:")) as database:
+        run = _begin(folder, database, command, versions)
+        name = f"run-{time.strftime('%Y%m%dT%H%M%S')}-{secrets.token_hex(4)}.sqlite"
+        store = Store(folder, database, run, _silent, place / name)
+        store.checkpoint()
+        try:
+            yield store
+        finally:
+            store.checkpoint()
 
 
 @contextmanager
@@ -190,34 +219,73 @@ def check_local(folder: Path, mounts: str | None = None) -> None:
     if kind in NETWORK_DISKS:
         raise InputError(
             f"--out {folder}: is on a network file system ({kind}), where the database could be damaged; give a folder "
-            "on a local disk: workers elsewhere need not see it, they send their rows to this process"
+            "on a local disk (workers of --executor dask need not see it), or add --shard 1/1, which locks nothing"
         )
+
+
+def databases(folder: Path) -> list[Path]:
+    """Return the databases in `folder`: that of a whole sweep, then those of runs of its shards, or of one shard, by
+    when they began."""
+    whole = [folder / DATABASE] if (folder / DATABASE).is_file() else []
+    return whole + sorted((*folder.glob(RUN), *folder.glob(f"{SHARD}/{RUN}")), key=lambda file: file.name)
 
 
 @contextmanager
 def reading(folder: Path) -> Iterator[sqlite3.Connection]:
-    """Open the store in `folder` for reading, also while it is written. Raises InputError."""
-    file = folder / DATABASE
-    if not file.is_file():
+    """Open the store in `folder` for reading, also while it is written; several databases are read as one.
+
+    Raises InputError, also where two runs of a shard gave different rows.
+    """
+    files = databases(folder)
+    if not files:
         raise InputError(
             f"{folder}: no results of a run or sweep there (no {DATABASE}); 'cellslam sweep ... --out DIR' makes them"
         )
-    with _explained(folder, "read"):
-        # Without a log beside it nobody writes, and nothing needs to be written to read: works on a read-only disk.
-        quiet = "" if Path(f"{file}-wal").exists() else "&immutable=1"
-        with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro{quiet}", uri=True)) as database:
-            _check_version(folder, database)
-            yield database
+    address = _address(files[0]) if len(files) == 1 else "file::memory:"
+    with (
+        _explained(files[0].parent, "read", files[0].name),
+        closing(sqlite3.connect(address, uri=True, isolation_level=None)) as database,
+    ):
+        if len(files) == 1:
+            _check_version(files[0], database)
+        else:
+            _unite(database, files)
+        yield database
 
 
-def stored_columns(database: sqlite3.Connection) -> set[str]:
+def statuses(folder: Path) -> dict[str, str]:
+    """Return the status of every key that is stored in `folder`. Raises InputError."""
+    if not databases(folder):
+        return {}
+    with reading(folder) as database:
+        return dict(database.execute("SELECT key, status FROM rows"))
+
+
+def rows_per_s(folder: Path) -> float:
+    """Return how many rows a second come in from all that still write into `folder`, by when they began and how many
+    they have; clocks of machines are taken to agree within a minute. Raises InputError."""
+    rate = 0.0
+    for file in databases(folder):
+        written = max(one.stat().st_mtime for one in (file, Path(f"{file}-wal")) if one.exists())
+        with _explained(file.parent, "read", file.name), closing(sqlite3.connect(_address(file), uri=True)) as database:
+            last = "SELECT started, (SELECT count(*) FROM rows WHERE run = id) FROM runs ORDER BY id DESC"
+            started, rows = database.execute(last).fetchone()
+        span = max(written - datetime.fromisoformat(started).timestamp(), 1.0)
+        # One that has been silent for long, by its own pace, has ended.
+        if rows and time.time() - written < 3.0 * max(CHECKPOINT_S, span / rows):
+            rate += rows / span
+    return rate
+
+
+def stored_columns(database: sqlite3.Connection, schema: str = "") -> set[str]:
     """Return the columns that a store has of its rows; metrics that came after it was made are missing."""
-    return {column[1] for column in database.execute("PRAGMA table_info(rows)")}
+    return {column[1] for column in database.execute(f"PRAGMA {schema}table_info(rows)")}
 
 
 def trajectory_path(folder: Path, key: str) -> Path:
-    """Return where the trajectory of a key is kept."""
-    return folder / TRAJECTORIES / key[:2] / f"{key}.npz"
+    """Return where the trajectory of a key is kept: all shards have one place."""
+    whole = folder.parent if fnmatch(folder.name, SHARD) else folder
+    return whole / TRAJECTORIES / key[:2] / f"{key}.npz"
 
 
 def trajectory_of(folder: Path, key: str) -> Trajectory | None:
@@ -230,8 +298,10 @@ def trajectory_of(folder: Path, key: str) -> Trajectory | None:
     return None
 
 
-def lost_trajectories(folder: Path, database: sqlite3.Connection) -> frozenset[str]:
-    """Return the keys whose trajectory is missing, or not the one that was written. Raises OSError."""
+def lost_trajectories(
+    folder: Path, database: sqlite3.Connection, among: Collection[str] | None = None
+) -> frozenset[str]:
+    """Return the keys, `among` these, whose trajectory is missing, or not the one that was written. Raises OSError."""
     if "trajectory_bytes" not in stored_columns(database):  # made before rows said so
         return frozenset()
     query = "SELECT key, trajectory_bytes, trajectory_sha256 FROM rows WHERE trajectory_bytes IS NOT NULL"
@@ -239,7 +309,8 @@ def lost_trajectories(folder: Path, database: sqlite3.Connection) -> frozenset[s
     def whole(path: Path, size: int, digest: str) -> bool:
         return path.is_file() and path.stat().st_size == size and _sha256(path.read_bytes()) == digest
 
-    return frozenset(key for key, *known in database.execute(query) if not whole(trajectory_path(folder, key), *known))
+    kept = (row for row in database.execute(query) if among is None or row[0] in among)
+    return frozenset(key for key, *known in kept if not whole(trajectory_path(folder, key), *known))
 
 
 def lost_in_words(folder: Path) -> str:
@@ -252,7 +323,7 @@ def lost_in_words(folder: Path) -> str:
 
 def _prepare(folder: Path, database: sqlite3.Connection) -> None:
     if database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-        _check_version(folder, database)
+        _check_version(folder / DATABASE, database)
     database.execute("PRAGMA journal_mode = WAL")
     # A killed process loses nothing that was committed; a machine that loses power may lose the last rows.
     database.execute("PRAGMA synchronous = NORMAL")
@@ -261,17 +332,75 @@ def _prepare(folder: Path, database: sqlite3.Connection) -> None:
         database.execute(f'ALTER TABLE rows ADD COLUMN "{key}" {_type(key)}')
 
 
+def _begin(folder: Path, database: sqlite3.Connection, command: str, versions: Mapping[str, str]) -> int:
+    """Make ready a database that is written, and return the number of this run in it."""
+    _prepare(folder, database)
+    made = (time.strftime("%F %T%z"), platform.node(), _storable(command), json.dumps(dict(versions)))
+    with database:
+        statement = "INSERT INTO runs (started, host, command, versions) VALUES (?, ?, ?, ?)"
+        return int(database.execute(statement, made).lastrowid or 0)
+
+
+def _address(file: Path) -> str:
+    """Return the address under which SQLite reads a database."""
+    # Without a log beside it nobody writes, and nothing needs to be written to read: works on a read-only disk.
+    quiet = "" if Path(f"{file}-wal").exists() else "&immutable=1"
+    return f"{file.absolute().as_uri()}?mode=ro{quiet}"
+
+
+def _unite(database: sqlite3.Connection, files: Sequence[Path]) -> None:
+    """Fill an empty database with the rows of several. Of rows with one key one that did not fail is kept, or the last.
+
+    Raises InputError where two that did not fail differ in more than their costs.
+    """
+    database.executescript(_TABLES)
+    for file in files:
+        with _explained(file.parent, "read", file.name):
+            database.execute("ATTACH ? AS more", (_address(file),))
+            _check_version(file, database, "more.")
+            _take_over(database, file)
+            database.execute("DETACH more")
+
+
+def _take_over(database: sqlite3.Connection, file: Path) -> None:
+    """Insert what the attached database `more` has."""
+    columns = sorted(stored_columns(database, "more.") & {*COLUMNS})
+    differing = " OR ".join(
+        f'own."{key}" IS NOT other."{key}"' for key in columns if key in ROW_KEYS and key not in COST_KEYS
+    )
+    found = database.execute(
+        "SELECT own.estimator, own.scenario, own.trial FROM more.rows AS other JOIN rows AS own USING (key) "
+        f"WHERE own.status = 'ok' AND other.status = 'ok' AND ({differing})"
+    ).fetchone()
+    if found:
+        raise InputError(
+            f"{file}: its row of {found[0]}, {found[1]}, trial {found[2]} is not that of another run: made by another "
+            "version, or on another processor? delete this file, and do again what only it has"
+        )
+    for table in ("worlds", "options"):
+        database.execute(f"INSERT OR IGNORE INTO {table} SELECT * FROM more.{table}")
+    run = "started, host, command, versions"
+    database.execute(f"INSERT INTO runs ({run}) SELECT {run} FROM more.runs EXCEPT SELECT {run} FROM runs")
+    database.execute("DELETE FROM rows WHERE status <> 'ok' AND key IN (SELECT key FROM more.rows)")
+    names = ", ".join(f'"{key}"' for key in columns)
+    values = ", ".join("here.id" if key == "run" else f'other."{key}"' for key in columns)
+    database.execute(
+        f"INSERT OR IGNORE INTO rows ({names}) SELECT {values} FROM more.rows AS other "
+        f"LEFT JOIN more.runs AS there ON there.id = other.run LEFT JOIN runs AS here USING ({run})"
+    )
+
+
 def _storable(value: Any) -> Any:
     """Return a value as SQLite takes it: of text, what is no Unicode (as in an odd file's name) escaped."""
     return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
 
 
-def _check_version(folder: Path, database: sqlite3.Connection) -> None:
-    found = database.execute("PRAGMA user_version").fetchone()[0]
+def _check_version(file: Path, database: sqlite3.Connection, schema: str = "") -> None:
+    found = database.execute(f"PRAGMA {schema}user_version").fetchone()[0]
     if found != SCHEMA:
         raise InputError(
-            f"{folder / DATABASE}: made by another version of cellslam (schema {found}, expected {SCHEMA}); that one "
-            f"still reads it ('cellslam table {folder} --format csv'), as SQLite does; sweep again into another --out"
+            f"{file}: made by another version of cellslam (schema {found}, expected {SCHEMA}); that one still reads it "
+            f"('cellslam table {file.parent} --format csv'), as SQLite does; sweep again into another --out"
         )
 
 
@@ -293,7 +422,7 @@ def _patiently(action: Callable[[], Answer], folder: Path, note: Note) -> Answer
 
 
 @contextmanager
-def _explained(folder: Path, verb: str = "written") -> Iterator[None]:
+def _explained(folder: Path, verb: str = "written", name: str = DATABASE) -> Iterator[None]:
     """Turn what the disk refuses into one line."""
     try:
         yield
@@ -302,10 +431,10 @@ def _explained(folder: Path, verb: str = "written") -> Iterator[None]:
     except sqlite3.DatabaseError as error:
         if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
             raise InputError(
-                f"{folder / DATABASE}: damaged ({error}): 'sqlite3 {folder / DATABASE} .recover' may save rows of it; "
+                f"{folder / name}: damaged ({error}): 'sqlite3 {folder / name} .recover' may save rows of it; "
                 "copy the folder again, or give another --out"
             ) from error
-        raise InputError(f"{folder / DATABASE}: results cannot be {verb} ({error}); {_KEPT}") from error
+        raise InputError(f"{folder / name}: results cannot be {verb} ({error}); {_KEPT}") from error
 
 
 def _replace(file: TextIO, text: str) -> None:

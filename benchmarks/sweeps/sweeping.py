@@ -4,7 +4,8 @@ plan        a task for each world and trial, with a job for each estimator that 
             its key is a hash of world, estimator, options, seed and trial: a key that is
             stored is not done again                                                         `pending`
 distribute  a worker process a core, each with one thread; an idle one is given the next      `executors.Pool`
-            task, so that a long task delays no other
+            task, so that a long task delays no other; machines that see nothing of each
+            other but a folder take a share of the tasks each                                `shards`
 work        a worker makes the world from its seed, and runs one estimator after the other   `tasks.work`
 store       each row comes back as it is ready, and only the parent process writes           `carry_out`, `store`
 lose        a worker that dies or hangs costs the job it was at; the rest of its task goes   `executors._Worker`
@@ -21,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.sweeps.executors import Executor
-from cellslam.benchmarks.sweeps.store import Note, Store, writing
+from cellslam.benchmarks.sweeps.store import Note, Store, databases, lost_trajectories, reading, statuses, writing
 from cellslam.benchmarks.sweeps.tasks import (
     Began,
     Job,
@@ -75,11 +76,15 @@ def carry_out(plan: Plan, store: Store, executor: Executor, on_result: OnResult)
             keep(_given_up(first, answer) if isinstance(answer, Lost) else answer)
 
 
-def pending(plan: Plan, store: Store, retry_failed: bool) -> Plan:
-    """Return what of a plan is to be done: what is not stored, what has lost its trajectory, and what failed if
-    `retry_failed`."""
-    lost = store.lost if any(task.trajectories for task in plan.tasks) else ()
-    status = store.status().items()
+def pending(plan: Plan, folder: Path, retry_failed: bool) -> Plan:
+    """Return what of a plan is to be done: what `folder` has not, what has lost its trajectory, and what failed if
+    `retry_failed`. Raises InputError where the folder cannot be read."""
+    if not databases(folder):
+        return plan
+    kept = {job.key for task in plan.tasks for job in task.jobs if task.trajectories}
+    with reading(folder) as database:
+        lost = lost_trajectories(folder, database, kept) if kept else ()
+    status = statuses(folder).items()
     return plan.without({key: s for key, s in status if key not in lost and (s == "ok" or not retry_failed)})
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from typing import TYPE_CHECKING, Any
 
 from cellslam.sim.errors import InputError
@@ -27,6 +28,14 @@ def number(text: str) -> float:
         return float(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
+
+
+def shard(text: str) -> tuple[int, int]:
+    """Return number and count of the shard that a text says, as 3/64."""
+    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    if not found or not 1 <= int(found[1]) <= int(found[2]):
+        raise argparse.ArgumentTypeError(f"'{text}' is no shard: write I/N with I from 1 to N, as in 3/64")
+    return int(found[1]), int(found[2])
 
 
 SET_HELP = "change one key, as in {}; may be repeated; 'cellslam show' lists the keys"
@@ -79,7 +88,7 @@ SHARED: dict[str, dict[str, Any]] = {
     },
     # How much is done, and where.
     "--dry-run": {"help": "say how many trials there are and how long they may take; do nothing", **FLAG},
-    "--live": {"help": "show the table of results so far every few seconds", **FLAG},
+    "--live": {"help": "show the table of results so far, and why rows failed, every few seconds", **FLAG},
     "--retry-failed": {"help": "do trials that are stored as failed again", **FLAG},
     "--no-trajectories": {"help": "keep the rows alone: saves disk space, and costs error curves and reports", **FLAG},
     "--executor": {
@@ -89,6 +98,16 @@ SHARED: dict[str, dict[str, Any]] = {
     },
     "--jobs": {"metavar": "N", "type": whole, "help": "number of processes (default: one a core)"},
     "--scheduler": {"metavar": "ADDRESS", "help": "a running Dask scheduler, as tcp://host:8786"},
+    "--shard": {
+        "metavar": "I/N",
+        "type": shard,
+        "help": "do the I-th of N shares of the work, into a database of its own; DIR may be on a network disk, and "
+        "'merge', 'watch', 'table' and the like see all shards in it",
+    },
+    "--script": {
+        "choices": ("slurm", "pbs", "parallel"),
+        "help": "print a job script that does all in shards, each some half an hour by one trial timed now; do nothing",
+    },
     "--time-limit": {
         "metavar": "SECONDS",
         "type": number,
@@ -118,6 +137,7 @@ ESTIMATION = (
 )  # fmt: skip
 WORK = (
     "--dry-run", "--live", "--retry-failed", "--no-trajectories", "--executor", "--jobs", "--scheduler", *LIMITS,
+    "--shard", "--script",
 )  # fmt: skip
 
 

@@ -26,6 +26,8 @@ SECTIONS = {
         "check-estimator": "check an estimator against the contract; say what to fix",
     },
     "results of a sweep": {
+        "watch": "what is done of a sweep, here or elsewhere; time left, failures",
+        "merge": "the shards of a sweep as one; what is missing of them",
         "table": "the results of a sweep as a table",
         "figures": "the figures of a sweep, as PNG and PDF",
         "report": "one HTML page of a sweep: tables, plots, worst trials",

@@ -19,7 +19,7 @@ from cellslam.benchmarks.sweeps.executors import executor
 from cellslam.benchmarks.sweeps.tasks import Lost, plan
 from cellslam.benchmarks.trials.output_files import check_file, write_text
 from cellslam.cli.arguments import DONE, FAILED, REPEATED, WORK, add, limits, whole
-from cellslam.cli.commands.sweep import carry, processes
+from cellslam.cli.commands.sweep import carry, in_part, processes
 from cellslam.scenarios.suites import Suite, points_of, suite
 from cellslam.sim.errors import InputError
 from cellslam.slam import registry
@@ -62,11 +62,13 @@ def command(arguments: Namespace) -> int:
     for file in (arguments.write, arguments.rows):
         if file:
             check_file(Path(file))
+            if arguments.shard:
+                raise InputError("--write and --rows are of all shards: repeat the command without --shard at the end")
     if arguments.rows and (trials, scenarios) != (one.trials, one.scenarios):
         raise InputError("--rows is of a whole suite: leave out --trials and --scenario")
     each = [one.trials_of(name, trials) for name in scenarios]
     status = carry(arguments, points, each, one.seed, out)
-    if status not in (DONE, FAILED) or arguments.dry_run:
+    if status not in (DONE, FAILED) or in_part(arguments):
         return status
     from cellslam.benchmarks.tables import suite_rows
     from cellslam.benchmarks.tables.suite_tables import suite_markdown

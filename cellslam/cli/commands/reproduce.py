@@ -18,7 +18,7 @@ from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.tasks import Plan, asked_by, plan_known
 from cellslam.benchmarks.trials.trials import check_counts
 from cellslam.cli.arguments import DONE, FAILED, WORK, add, whole
-from cellslam.cli.commands.sweep import carry_plan
+from cellslam.cli.commands.sweep import carry_plan, in_part
 from cellslam.cli.output import plain_table
 from cellslam.scenarios.known_worlds import NAMES, known_world
 
@@ -51,7 +51,7 @@ def command(arguments: Namespace) -> int:
     made = plan_known(world, trials, arguments.seed, not arguments.no_trajectories)
     names = {asked_by(world, entry): entry.name for entry in (*world.ladder, *world.entries)}
     status = carry_plan(arguments, made, world.name, names, out)
-    if status not in (DONE, FAILED) or arguments.dry_run:
+    if status not in (DONE, FAILED) or in_part(arguments):
         return status
     tables, rungs = (_rows(out, world, made, entries) for entries in (world.entries, world.ladder))
     console = Console(width=None if sys.stdout.isatty() else _WIDTH)

@@ -11,15 +11,17 @@ from functools import partial
 from pathlib import Path
 
 from cellslam.benchmarks.sweeps.executors import Serial, cores, executor
-from cellslam.benchmarks.sweeps.store import DATABASE, lost_trajectories, reading, writing
+from cellslam.benchmarks.sweeps.shards import note_shares, shares
+from cellslam.benchmarks.sweeps.store import statuses, writing, writing_shard
 from cellslam.benchmarks.sweeps.sweeping import carry_out, pending, seconds_of
 from cellslam.benchmarks.sweeps.tasks import Plan, options_json, plan, world_json
-from cellslam.benchmarks.sweeps.watch import Tally, clock, watching
+from cellslam.benchmarks.sweeps.watch import Tally, clock, label, watching
 from cellslam.benchmarks.trials.child_process import Limits
 from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, check_counts
 from cellslam.cli.arguments import DONE, FAILED, INTERRUPTED, REPEATED, SET_HELP, WORK, add, limits, whole
 from cellslam.cli.between_drives import with_map
+from cellslam.cli.job_scripts import script, whole_command
 from cellslam.cli.output import note
 from cellslam.scenarios import sweep_points as sweeps
 from cellslam.scenarios.overrides import parse_all
@@ -85,32 +87,69 @@ def carry_plan(arguments: Namespace, made: Plan, of: str, names: Names, out: Pat
     jobs = processes(arguments)
     allowed = limits(arguments, jobs)
     check_folder(out)
-    if arguments.dry_run:
-        _dry_run(made, of, jobs, allowed, out)
+    if arguments.script and arguments.shard:
+        raise InputError("--script is of all shards: leave out --shard")
+    number, count = arguments.shard or (1, 1)
+    parts = shares(made, count)
+    part = parts[number - 1]
+    todo = pending(part, out, arguments.retry_failed)
+    if arguments.script or arguments.dry_run:
+        _foretell(arguments, f"{of}, {_size(part, todo)}", todo, allowed, out)
         return DONE
-    command = shlex.join(["cellslam", *arguments.words])
-    tally = Tally(0, names)
+    note(arguments, _size(part, todo))
+    stored = statuses(out)
+    again = sum(stored.get(job.key) == "ok" for task in todo.tasks for job in task.jobs)
+    note(arguments, f"rows done again, as their trajectory is missing or damaged: {again}" if again else "")
+    whole = shlex.join(whole_command(arguments.words))
+    commands = [f"{whole} --shard {n}/{count}" for n in range(1, count + 1)] if arguments.shard else [whole]
+    command, tally = commands[number - 1], Tally(len(todo), names)
+    opened = (
+        writing_shard(out, number, count, command, versions())
+        if arguments.shard
+        else writing(out, command, versions(), partial(note, arguments))
+    )
     try:
-        with writing(out, command, versions(), partial(note, arguments)) as store:
-            todo = pending(made, store, arguments.retry_failed)
-            note(arguments, _size(made, todo))
-            again = sum(job.key in store.lost for task in todo.tasks for job in task.jobs)
-            note(arguments, f"rows done again, as their trajectory is missing or damaged: {again}" if again else "")
-            with executor(arguments.executor, jobs, allowed, arguments.scheduler) as pool:
-                tally.total = len(todo)
-                with watching(tally, arguments.quiet, arguments.live) as on_result:
-                    carry_out(todo, store, pool, on_result)
-            status = store.status()
+        if todo:  # what is finished can be asked for again where nothing can be written
+            with opened as store:
+                note_shares(out, dict(zip(commands, parts, strict=True)))
+                pool = executor(arguments.executor, jobs, allowed, arguments.scheduler)
+                with pool as workers, watching(tally, arguments.quiet, arguments.live) as on_result:
+                    carry_out(todo, store, workers, on_result)
     except KeyboardInterrupt:
         kept = f"{tally.done} new rows are kept in {out}"
         sys.stderr.write(f"interrupted: {kept}; the same command goes on from there: {command}\n")
         return INTERRUPTED
-    failed = sum(status[job.key] == "failed" for task in made.tasks for job in task.jobs)
-    words = f", {failed} failed ({tally.first_error or 'before'}); --retry-failed tries them again" if failed else ""
+    return _ended(arguments, part, tally, out)
+
+
+def _foretell(arguments: Namespace, size: str, todo: Plan, allowed: Limits, out: Path) -> None:
+    """Print how long a plan of that size takes, or the script that carries it out."""
+    print(size, file=sys.stderr if arguments.script else sys.stdout)
+    with Serial(allowed) as one:
+        seconds, parts = seconds_of(todo, one.external)
+    if arguments.script:
+        sys.stdout.write(script(arguments, len(todo.tasks), seconds, out))
+    elif parts:
+        jobs = processes(arguments)
+        timed = ", ".join(f"{name} {clock(value)}" for name, value in parts.items())
+        print(f"about {clock(seconds / jobs)} on {_counted(jobs, 'core')} (one trial, timed now: {timed})")
+
+
+def _ended(arguments: Namespace, part: Plan, tally: Tally, out: Path) -> int:
+    """Say what is stored of what was asked for, and return the exit status."""
+    status = statuses(out)
+    failed = sum(status[job.key] == "failed" for task in part.tasks for job in task.jobs)
+    first = f"the first: {next(iter(tally.errors))}" if tally.errors else "before"
+    words = f", {failed} failed ({first}); --retry-failed tries them again" if failed else ""
     new = f" ({tally.done} new, in {clock(tally.seconds)})" if tally.done else ""
     shows = f"'cellslam table {shlex.quote(str(out))}' shows them"
-    note(arguments, f"{len(made)} rows are in {out}{new}{words}; {shows}")
+    note(arguments, f"{len(part)} rows are in {out}{new}{words}; {shows}")
     return FAILED if failed else DONE
+
+
+def in_part(arguments: Namespace) -> bool:
+    """Return whether a command was asked for less than all rows, so that there is nothing to conclude from them."""
+    return bool(arguments.dry_run or arguments.script or arguments.shard)
 
 
 def processes(arguments: Namespace) -> int:
@@ -120,20 +159,6 @@ def processes(arguments: Namespace) -> int:
     if arguments.scheduler is not None and arguments.executor != "dask":
         raise InputError("--scheduler is for --executor dask")
     return 1 if arguments.executor == "serial" else arguments.jobs or cores()
-
-
-def _dry_run(made: Plan, of: str, jobs: int, allowed: Limits, out: Path) -> None:
-    todo = made
-    if (out / DATABASE).is_file():
-        with reading(out) as database:
-            lost = lost_trajectories(out, database) if any(task.trajectories for task in made.tasks) else ()
-            todo = made.without({key: True for (key,) in database.execute("SELECT key FROM rows") if key not in lost})
-    print(f"{of}, {_size(made, todo)}")
-    with Serial(allowed) as one:
-        seconds, parts = seconds_of(todo, one.external)
-    if parts:
-        timed = ", ".join(f"{name} {clock(value)}" for name, value in parts.items())
-        print(f"about {clock(seconds / jobs)} on {_counted(jobs, 'core')} (one trial, timed now: {timed})")
 
 
 def _size(made: Plan, todo: Plan) -> str:
@@ -153,11 +178,5 @@ def _names(points: Sequence[sweeps.Point]) -> Names:
     for point in points:
         world = world_json(point.scenario)
         for request in point.requests:
-            settings = point.settings.items()
-            own = (
-                f"{key}={f'{value:.6g}' if isinstance(value, float) else value}"
-                for key, value in settings
-                if not key.startswith("estimator.") or key.startswith(f"estimator.{request.name}.")
-            )
-            names.setdefault((world, request.name, options_json(request)), ", ".join([*own, request.name]))
+            names.setdefault((world, request.name, options_json(request)), label(point.settings, request.name))
     return names

@@ -93,5 +93,5 @@ def test_dask_gives_the_same_rows_though_a_worker_is_killed(place: Path, undistu
 
         sweeping.carry_out(made, store, local, kill_soon)
         # A job that was hit twice is a failed row; nothing else may differ.
-        sweeping.carry_out(sweeping.pending(made, store, True), store, local, lambda *_: None)
+        sweeping.carry_out(sweeping.pending(made, store.folder, True), store, local, lambda *_: None)
     assert killers and rows(place / "out") == undisturbed

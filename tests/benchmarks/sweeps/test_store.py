@@ -159,7 +159,7 @@ def test_a_full_disk_is_one_line_and_keeps_what_was_finished(tmp_path: Path, mon
         monkeypatch.setattr(store, "write_durably", no_space)
         with pytest.raises(InputError, match="No space left on device"):
             full.write(dataclasses.replace(row("c"), trajectory=b"x"), "w", "o")
-        assert full.status()["a"] == "ok" and "c" not in full.status()
+        assert store.statuses(tmp_path)["a"] == "ok" and "c" not in store.statuses(tmp_path)
 
 
 def test_lost_trajectories_are_noticed_and_made_again(tmp_path: Path) -> None:
@@ -171,11 +171,10 @@ def test_lost_trajectories_are_noticed_and_made_again(tmp_path: Path) -> None:
     files[cut].write_bytes(files[cut].read_bytes()[:50])
     files[changed].write_bytes(files[changed].read_bytes()[:-1] + b"x")
     assert "damaged: 3; they are left out; the command that made them" in store.lost_in_words(tmp_path)
-    with store.writing(tmp_path, "test", {}) as again:
-        todo = pending(made, again, retry_failed=False)
-        assert {*keys(todo)} == {deleted, cut, changed}
-        without = dataclasses.replace(made, tasks=tuple(dataclasses.replace(t, trajectories=False) for t in made.tasks))
-        assert len(pending(without, again, retry_failed=False)) == 0
+    todo = pending(made, tmp_path, retry_failed=False)
+    assert {*keys(todo)} == {deleted, cut, changed}
+    without = dataclasses.replace(made, tasks=tuple(dataclasses.replace(t, trajectories=False) for t in made.tasks))
+    assert len(pending(without, tmp_path, retry_failed=False)) == 0
     made_up(tmp_path, todo, packed=lambda _, job: job.key.encode() * 9)
     assert store.lost_in_words(tmp_path) == "" and store.trajectory_of(tmp_path, cut) is None  # no trajectory at all
     made_up(tmp_path, made)
@@ -189,11 +188,11 @@ def test_a_trajectory_is_on_the_disk_before_its_row(tmp_path: Path, monkeypatch:
 
         def noticed(path: Path, content: bytes) -> None:
             durable(path, content)
-            found.append(open_store.status())
+            found.append(store.statuses(tmp_path))
 
         monkeypatch.setattr(store, "write_durably", noticed)
         open_store.write(dataclasses.replace(row("a"), trajectory=b"x"), "w", "o")
-        assert found == [{}] and open_store.status() == {"a": "ok"}
+        assert found == [{}] and store.statuses(tmp_path) == {"a": "ok"}
 
 
 def test_another_program_that_locks_the_database_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -214,7 +213,7 @@ def test_another_program_that_locks_the_database_is_waited_for(tmp_path: Path, m
         other.execute("BEGIN IMMEDIATE")
         notes.clear()
         waited.write(row("a"), "w", "o")
-        assert len(notes) == 2 and waited.status() == {"a": "ok"}
+        assert len(notes) == 2 and store.statuses(tmp_path) == {"a": "ok"}
         monkeypatch.setattr(store, "LOCK_LIMIT_S", 0.1)
         other.execute("BEGIN IMMEDIATE")
         with pytest.raises(InputError, match="database is locked"):
