@@ -60,6 +60,8 @@ from cellslam.slam.joint.start import START_STATES, Start, begin
 from cellslam.slam.joint.state.layout import (
     ENTRY,
     FREE,
+    POSITION,
+    SPREAD,
     ArrayErrors,
     Association,
     BlockLimits,
@@ -81,6 +83,8 @@ BLOCK_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long 
 AWAY_S = 3.0  # a VT that was not seen for so long returns, if it is seen again
 AGAIN = 1.25  # filters of all sites that did not agree with the start are tried again after so many times as long
 GROW_EVERY, MOST_GROWN = 64, 5.0  # snapshots; times as large as assumed
+REFUTED = 5.0  # deviations by which measurements move a site off its survey, so that the survey is called wrong
+LEAST_SHOWN = 0.01  # of its variance, that is expected to be shown at least: a share too small is rounding
 EVIDENCE = 0.0125  # least share of detections and misses that is news: what hides a VT lasts for seconds
 
 
@@ -202,8 +206,9 @@ class JointFilter:
         return sizes_of(own._joint.collapsed(), own._errors, own._setup.odometry_model.noise_density, own._grown)
 
     def remarks(self) -> list[str]:
-        """Return what the drive says against the sizes of errors that the filter assumes, and against its map."""
-        return self._valid._misfit + (self.sizes().remarks() if self.resolved else [])
+        """Return what the drive says against the sizes of errors that the filter assumes, its map and surveys."""
+        own = self._valid
+        return own._misfit + (self.sizes().remarks() + own._refuted_surveys() if self.resolved else [])
 
     def calibration(self) -> Calibration | None:
         """Return the array's calibration as the drive has shown it; None where it is no state.
@@ -241,6 +246,26 @@ class JointFilter:
     def _surveyed_idents(self, link: Ints) -> Ints:
         """Return the identities that the surveyed transmitters of some links (n,) have as VTs."""
         return link
+
+    def _refuted_surveys(self) -> list[str]:
+        """Return which surveys the measurements contradict, in a line for each site.
+
+        From the covariance P_0 of a survey to the P that is left, an estimate moves by N(0, P_0 - P).
+        """
+        assert self._joint is not None
+        mixture, out, sites = self._joint.collapsed(), {}, self._setup.links.site
+        rows = mixture.vts(mixture.best, 1)
+        for link, place, std in zip(*self._setup.surveyed, strict=True):
+            for row in rows[rows[:, 0] == self._surveyed_idents(np.array([link]))[0]]:
+                moved, left2 = row[POSITION:SPREAD] - place, np.diag(row[SPREAD:].reshape(3, 3))
+                expected = np.sqrt(np.maximum(std**2 - left2, LEAST_SHOWN * std**2))
+                if (np.abs(moved) > REFUTED * expected)[std > 0.0].any():
+                    name = self._setup.sites.name[sites[link]]
+                    out[name] = (
+                        f"the survey of site {name} errs by {np.linalg.norm(moved):.1f} m, as the measurements have it, "
+                        f"not by {std.max():g} m: state a position_std_m (survey_std_m) so large, or leave position_m out"
+                    )
+        return list(out.values())
 
     def _alike(self, **changes: Any) -> Self:
         """Return another filter of the same kind, with some options changed."""
