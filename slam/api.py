@@ -27,8 +27,9 @@ class Setup(Described):
     deviations (6,).
 
     `range_scale_std`: deviation of the scale k by which all distances are measured too long, measured = (1 + k) true +
-    clock offset; 0: there is no such error. `map`: of VTs, as earlier drives left it; None: none is known. `truth` is None but for an estimator that declares
-    `requires_truth`, `future` but for one that declares `requires_future`: all steps of the drive that begins.
+    clock offset; 0: there is no such error. `map`: of VTs, as earlier drives left it; None: none is known. `truth` is
+    None but for an estimator that declares `requires_truth`, `future` but for one that declares `requires_future`: all
+    steps of the drive that begins.
     """
 
     links: Links

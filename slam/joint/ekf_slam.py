@@ -56,7 +56,7 @@ from cellslam.slam.joint.sizes import Sizes, growth, sizes_of
 from cellslam.slam.joint.snapshot import snapshot_kernel
 from cellslam.slam.joint.snapshot.birth_kernel import births
 from cellslam.slam.joint.snapshot.motion_kernel import Interval
-from cellslam.slam.joint.start import START_STATES, Start, begin
+from cellslam.slam.joint.start import START_STATES, Start, begin, width_of_components
 from cellslam.slam.joint.state.layout import (
     ENTRY,
     FREE,
@@ -83,6 +83,10 @@ BLOCK_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long 
 AWAY_S = 3.0  # a VT that was not seen for so long returns, if it is seen again
 AGAIN = 1.25  # filters of all sites that did not agree with the start are tried again after so many times as long
 GROW_EVERY, MOST_GROWN = 64, 5.0  # snapshots; times as large as assumed
+FULL = (
+    "the state is full: measurements began no more VTs and errors; lower vts or hold_s, or raise calibration_scale_deg "
+    "or roof_scale_deg"
+)
 REFUTED = 5.0  # deviations by which measurements move a site off its survey, so that the survey is called wrong
 LEAST_SHOWN = 0.01  # of its variance, that is expected to be shown at least: a share too small is rounding
 EVIDENCE = 0.0125  # least share of detections and misses that is news: what hides a VT lasts for seconds
@@ -133,6 +137,13 @@ class JointFilter:
         self._by_step: dict[int, tuple[Floats, Rules]] = {}
         self._elevation_variance = math.radians(self.options.elevation_std_deg) ** 2
         sites = self._setup.sites
+        wide, given = width_of_components(sites.clock_offset_std_m, self.options), self.options.component_std_m
+        if wide > given:
+            self.options = self.options.model_copy(update={"component_std_m": wide})
+            self._misfit.append(
+                f"clock offsets so uncertain take components of {wide:.0f} m, not {given:g} m, to fit into memory: give "
+                "smaller clock_offset_std_m where the offsets are known better"
+            )
         self._start: Start | None = None
         self._vts: VtEstimate | None = None
         self._joint: Mixture | None = None
@@ -208,7 +219,10 @@ class JointFilter:
     def remarks(self) -> list[str]:
         """Return what the drive says against the sizes of errors that the filter assumes, its map and surveys."""
         own = self._valid
-        return own._misfit + (self.sizes().remarks() + own._refuted_surveys() if self.resolved else [])
+        if own._joint is None:
+            return own._misfit
+        full = [FULL] if own._joint.full else []
+        return own._misfit + full + self.sizes().remarks() + own._refuted_surveys()
 
     def calibration(self) -> Calibration | None:
         """Return the array's calibration as the drive has shown it; None where it is no state.
@@ -253,19 +267,19 @@ class JointFilter:
         From the covariance P_0 of a survey to the P that is left, an estimate moves by N(0, P_0 - P).
         """
         assert self._joint is not None
-        mixture, out, sites = self._joint.collapsed(), {}, self._setup.links.site
+        mixture, sites, out = self._joint.collapsed(), self._setup.sites, {}
         rows = mixture.vts(mixture.best, 1)
         for link, place, std in zip(*self._setup.surveyed, strict=True):
-            for row in rows[rows[:, 0] == self._surveyed_idents(np.array([link]))[0]]:
-                moved, left2 = row[POSITION:SPREAD] - place, np.diag(row[SPREAD:].reshape(3, 3))
-                expected = np.sqrt(np.maximum(std**2 - left2, LEAST_SHOWN * std**2))
-                if (np.abs(moved) > REFUTED * expected)[std > 0.0].any():
-                    name = self._setup.sites.name[sites[link]]
-                    out[name] = (
-                        f"the survey of site {name} errs by {np.linalg.norm(moved):.1f} m, as the measurements have it, "
-                        f"not by {std.max():g} m: state a position_std_m (survey_std_m) so large, or leave position_m out"
-                    )
-        return list(out.values())
+            row = rows[rows[:, 0] == self._surveyed_idents(np.array([link]))][0]
+            moved, left2 = row[POSITION:SPREAD] - place, np.diag(row[SPREAD:].reshape(3, 3))
+            expected = np.sqrt(np.maximum(std**2 - left2, LEAST_SHOWN * std**2))
+            if (np.abs(moved) > REFUTED * expected)[std > 0.0].any():
+                out[sites.name[self._setup.links.site[link]]] = np.linalg.norm(moved), std.max()
+        return [
+            f"the survey of site {name}, with deviations of {std:g} m, is off by {off:.1f} m as measurements have it: "
+            "state larger deviations (position_std_m), or leave the survey out"
+            for name, (off, std) in out.items()
+        ]
 
     def _alike(self, **changes: Any) -> Self:
         """Return another filter of the same kind, with some options changed."""

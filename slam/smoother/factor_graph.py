@@ -186,7 +186,7 @@ def _graph(problem: Problem, used: Any, huber: float) -> Any:
 
 
 def _keys(problem: Problem, sighting: Sighting) -> list[int]:
-    """Return the variables that a sighting depends on: keyframe, VT, clock offset and, if there is one, scale of range."""
+    """Return the variables that a sighting depends on: keyframe, VT, clock offset and the scale of range, if any."""
     scale = [C(0)] if problem.priors.range_scale_std > 0.0 else []
     return [X(sighting.keyframe), L(sighting.vt), B(sighting.site), *scale]
 
