@@ -50,7 +50,7 @@ from cellslam.slam.joint.calibration_states import begin_with, found
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.map_states import Box, Observed, Remembered, map_after
 from cellslam.slam.joint.map_trial import MapTrial
-from cellslam.slam.joint.mixture import Mixture, vt_estimate
+from cellslam.slam.joint.mixture import KNOWN, Mixture, vt_estimate
 from cellslam.slam.joint.new_filters import LONGEST, MOST_STATES, array_errors, core_of, new_mixture
 from cellslam.slam.joint.sizes import Sizes, growth, sizes_of
 from cellslam.slam.joint.snapshot import snapshot_kernel
@@ -60,6 +60,8 @@ from cellslam.slam.joint.start import START_STATES, Start, begin, width_of_compo
 from cellslam.slam.joint.state.layout import (
     ENTRY,
     FREE,
+    HITS,
+    IDENT,
     POSITION,
     SPREAD,
     ArrayErrors,
@@ -88,6 +90,7 @@ FULL = (
     "or roof_scale_deg"
 )
 REFUTED = 5.0  # deviations by which measurements move a site off its survey, so that the survey is called wrong
+NEXT_TO_M = 10.0  # a VT so near to a site that is seldom measured itself is this site: no wall is half as near
 LEAST_SHOWN = 0.01  # of its variance, that is expected to be shown at least: a share too small is rounding
 EVIDENCE = 0.0125  # least share of detections and misses that is news: what hides a VT lasts for seconds
 
@@ -141,8 +144,8 @@ class JointFilter:
         if wide > given:
             self.options = self.options.model_copy(update={"component_std_m": wide})
             self._misfit.append(
-                f"clock offsets so uncertain take components of {wide:.0f} m, not {given:g} m, to fit into memory: give "
-                "smaller clock_offset_std_m where the offsets are known better"
+                f"clock offsets so uncertain take components of {wide:.0f} m, not {given:g} m, to fit into memory: "
+                "give smaller clock_offset_std_m where the offsets are known better"
             )
         self._start: Start | None = None
         self._vts: VtEstimate | None = None
@@ -264,20 +267,29 @@ class JointFilter:
     def _refuted_surveys(self) -> list[str]:
         """Return which surveys the measurements contradict, in a line for each site.
 
-        From the covariance P_0 of a survey to the P that is left, an estimate moves by N(0, P_0 - P).
+        From the covariance P_0 of a survey to the P that is left, an estimate moves by N(0, P_0 - P). A transmitter
+        that is measured more often beside its survey than there, stands beside.
         """
         assert self._joint is not None
         mixture, sites, out = self._joint.collapsed(), self._setup.sites, {}
-        rows = mixture.vts(mixture.best, 1)
+        rows, f = mixture.vts(mixture.best, self.options.confirm_hits), mixture.likeliest
+        slots = f.vts.slots[: f.count[0]]
+        hits = dict(zip(slots[:, IDENT].tolist(), slots[:, HITS].tolist(), strict=True))
         for link, place, std in zip(*self._setup.surveyed, strict=True):
-            row = rows[rows[:, 0] == self._surveyed_idents(np.array([link]))][0]
-            moved, left2 = row[POSITION:SPREAD] - place, np.diag(row[SPREAD:].reshape(3, 3))
+            (ident,), on_link = self._surveyed_idents(np.array([link])), rows[rows[:, 1] == link]
+            own = on_link[on_link[:, 0] == ident][0]
+            beside = [row[POSITION:SPREAD] for row in on_link if row[0] != ident and hits[row[0]] > hits[ident] - KNOWN]
+            moved, left2 = own[POSITION:SPREAD] - place, np.diag(own[SPREAD:].reshape(3, 3))
             expected = np.sqrt(np.maximum(std**2 - left2, LEAST_SHOWN * std**2))
-            if (np.abs(moved) > REFUTED * expected)[std > 0.0].any():
-                out[sites.name[self._setup.links.site[link]]] = np.linalg.norm(moved), std.max()
+            refuted = bool((np.abs(moved) > REFUTED * expected)[std > 0.0].any())
+            off = float(np.linalg.norm(moved))
+            if beside and (apart := float(np.linalg.norm(np.array(beside) - place, axis=1).min())) < NEXT_TO_M:
+                off, refuted = apart, True
+            if refuted:
+                out[sites.name[self._setup.links.site[link]]] = off, std.max()
         return [
-            f"the survey of site {name}, with deviations of {std:g} m, is off by {off:.1f} m as measurements have it: "
-            "state larger deviations (position_std_m), or leave the survey out"
+            f"the survey of site {name}, with deviations of {std:g} m, is off by {off:.1f} m or more, as measurements "
+            "have it: state larger deviations (position_std_m), or leave the survey out"
             for name, (off, std) in out.items()
         ]
 

@@ -52,8 +52,7 @@ def test_surveyed_transmitters_tell_the_scale(estimator: Any, toy_recording: Toy
 def test_where_there_is_none_there_is_no_state(toy_recording: Toy) -> None:
     one = EkfSlam()
     driven(one, long_ranges(toy_recording(), 0.0), count=1)
-    assert one._core.range_scale == -1 and one._core.ground == -1 and one._core.bias.max() == -1
-    assert one._core.scale.min() == 6  # right behind the pose
+    assert one._core.range_scale == -1
 
 
 def test_a_campaign_has_a_scale_unless_it_has_no_distances(tmp_path: Path) -> None:
