@@ -114,7 +114,6 @@ def problem_of(drive: Drive, options: SmootherOptions) -> tuple[Problem, Ints]:
         error_std=np.maximum(np.concatenate([model.bias[biased], model.scale[scaled]]), 1e-9),
         walk_std=np.maximum(walk, 1e-9),
         offset_mean_m=setup.sites.clock_offset_mean_m, offset_std_m=setup.sites.clock_offset_std_m,
-        range_scale_std=setup.range_scale_std,
         surveyed=np.searchsorted(kept, link[seen]), surveyed_m=surveyed_m[seen], survey_std_m=survey_std_m[seen],
     )  # fmt: skip
     problem = Problem(

@@ -1,4 +1,4 @@
-"""The factor graph: poses, odometry errors, clock offsets, scale of range, VTs; built and solved with GTSAM.
+"""The factor graph: poses, odometry errors, clock offsets, VTs; built and solved with GTSAM.
 
 Sources: paper, eq. 22 to 27, with the elevation corrected; Barfoot, "State estimation for robotics", 2017, chapter 7
 (derivatives by a rotation vector).
@@ -11,7 +11,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, C, E, L, X
+from gtsam.symbol_shorthand import B, E, L, X
 
 from cellslam.sim.compiling import njit
 from cellslam.sim.frames import rotation, rotation_angles
@@ -64,8 +64,8 @@ class Sighting:
 class Priors:
     """What is known before: `start` pose (6,) and its deviations `start_std` (6,); deviations `error_std` (e,) of the
     odometry errors, and `walk_std` (e,) from one segment to the next; clock offsets `offset_mean_m`, `offset_std_m`
-    (S,); `range_scale_std`, 0 where there is no scale of range; of surveyed transmitters that are seen, the VTs that
-    they are, `surveyed` (n,), positions and deviations (n, 3)."""
+    (S,); of surveyed transmitters that are seen, the VTs that they are, `surveyed` (n,), positions and deviations (n,
+    3)."""
 
     start: Floats
     start_std: Floats
@@ -73,7 +73,6 @@ class Priors:
     walk_std: Floats
     offset_mean_m: Floats
     offset_std_m: Floats
-    range_scale_std: float
     surveyed: Ints
     surveyed_m: Floats
     survey_std_m: Floats
@@ -114,7 +113,7 @@ def solve(problem: Problem, gate: float, huber: float, rounds: int, iterations: 
     for _ in range(rounds):
         graph = _graph(problem, ~outlier, huber)
         values = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-        found = np.array([_distance2(values, s, _keys(problem, s)) > gate for s in problem.sightings], bool)
+        found = np.array([_distance2(values, s) > gate for s in problem.sightings], bool)
         if (found == outlier).all():
             break
         outlier = found
@@ -137,8 +136,6 @@ def _ordering(problem: Problem) -> Any:
             order.push_back(E(segment))
     for site in range(len(problem.priors.offset_mean_m)):
         order.push_back(B(site))
-    if problem.priors.range_scale_std > 0.0:
-        order.push_back(C(0))
     return order
 
 
@@ -150,8 +147,6 @@ def _initial(problem: Problem) -> Any:
         values.insert(E(segment), np.zeros(len(problem.priors.error_std)))
     for site, offset in enumerate(problem.offset_m):
         values.insert(B(site), np.array([offset]))
-    if problem.priors.range_scale_std > 0.0:
-        values.insert(C(0), np.zeros(1))
     for v, place in enumerate(problem.vts):
         values.insert(L(v), place)
     return values
@@ -170,8 +165,6 @@ def _graph(problem: Problem, used: Any, huber: float) -> Any:
             graph.add(gtsam.CustomFactor(diagonal(problem.priors.walk_std), keys, _walk))
     for site, (mean, std) in enumerate(zip(problem.priors.offset_mean_m, problem.priors.offset_std_m, strict=True)):
         graph.add(gtsam.PriorFactorVector(B(site), np.array([mean]), diagonal(np.array([max(std, 1e-6)]))))
-    if problem.priors.range_scale_std > 0.0:
-        graph.add(gtsam.PriorFactorVector(C(0), np.zeros(1), diagonal(np.array([problem.priors.range_scale_std]))))
     surveyed = zip(problem.priors.surveyed, problem.priors.surveyed_m, problem.priors.survey_std_m, strict=True)
     for vt, place, std in surveyed:
         graph.add(gtsam.PriorFactorPoint3(L(int(vt)), place, diagonal(np.maximum(std, LEAST_SURVEY_STD_M))))
@@ -181,14 +174,9 @@ def _graph(problem: Problem, used: Any, huber: float) -> Any:
     loss = gtsam.noiseModel.mEstimator.Huber.Create(huber)
     for sighting in (s for s, use in zip(problem.sightings, used, strict=True) if use):
         noise = gtsam.noiseModel.Robust.Create(loss, diagonal(sighting.std))
-        graph.add(gtsam.CustomFactor(noise, gtsam.KeyVector(_keys(problem, sighting)), _seen(sighting)))
+        keys = [X(sighting.keyframe), L(sighting.vt), B(sighting.site)]
+        graph.add(gtsam.CustomFactor(noise, gtsam.KeyVector(keys), _seen(sighting)))
     return graph
-
-
-def _keys(problem: Problem, sighting: Sighting) -> list[int]:
-    """Return the variables that a sighting depends on: keyframe, VT, clock offset and the scale of range, if any."""
-    scale = [C(0)] if problem.priors.range_scale_std > 0.0 else []
-    return [X(sighting.keyframe), L(sighting.vt), B(sighting.site), *scale]
 
 
 def _walk(factor: Any, values: Any, jacobians: Any) -> Floats:
@@ -223,39 +211,30 @@ def _driven(leg: Leg) -> Any:
 
 
 def _seen(sighting: Sighting) -> Any:
-    """Return the error function of a sighting: mean of h + b - z, the distance in h times 1 + k where it has a scale k
-    of range."""
+    """Return the error function of a sighting: mean of h + b - z."""
 
     def error(factor: Any, values: Any, jacobians: Any) -> Floats:
         keys = factor.keys()
-        out, by_pose, by_vt, distance = _mean_residual(values, sighting, keys)
+        out, by_pose, by_vt = _mean_residual(values, sighting, keys)
         if jacobians is not None:
             jacobians[0], jacobians[1] = np.asfortranarray(by_pose), np.asfortranarray(by_vt)
             jacobians[2] = np.array([[1.0], [0.0], [0.0]], order="F")
-            if len(keys) == 4:
-                jacobians[3] = np.array([[distance], [0.0], [0.0]], order="F")
         return out
 
     return error
 
 
-def _mean_residual(values: Any, sighting: Sighting, keys: Any) -> tuple[Floats, Floats, Floats, float]:
-    """Return the residual (3,), its Jacobians by pose and VT, and the mean distance, in m."""
+def _mean_residual(values: Any, sighting: Sighting, keys: Any) -> tuple[Floats, Floats, Floats]:
     pose, vt, offset = values.atPose3(keys[0]), values.atPoint3(keys[1]), values.atVector(keys[2])[0]
     out, by_pose, by_vt = np.empty(3), np.empty((3, 6)), np.empty((3, 3))
     turned = np.ascontiguousarray(pose.rotation().matrix())
     residual(turned, pose.translation(), vt, offset, sighting.relative, sighting.z, out, by_pose, by_vt)
-    distance = float(out[0] + sighting.z[:, 0].mean() - offset)
-    if len(keys) == 4:
-        scale = values.atVector(keys[3])[0]
-        out[0] += scale * distance
-        by_pose[0] *= 1.0 + scale
-        by_vt[0] *= 1.0 + scale
-    return out, by_pose, by_vt, distance
+    return out, by_pose, by_vt
 
 
-def _distance2(values: Any, sighting: Sighting, keys: list[int]) -> float:
+def _distance2(values: Any, sighting: Sighting) -> float:
     """Return the squared residual of a sighting in deviations of one measurement."""
+    keys = (X(sighting.keyframe), L(sighting.vt), B(sighting.site))
     return float(np.sum((_mean_residual(values, sighting, keys)[0] / sighting.single) ** 2))
 
 
