@@ -271,7 +271,8 @@ class JointFilter:
         that is measured more often beside its survey than there, stands beside.
         """
         assert self._joint is not None
-        mixture, sites, out = self._joint.collapsed(), self._setup.sites, {}
+        mixture, sites = self._joint.collapsed(), self._setup.sites
+        out: dict[str, tuple[float, float]] = {}
         rows, f = mixture.vts(mixture.best, self.options.confirm_hits), mixture.likeliest
         slots = f.vts.slots[: f.count[0]]
         hits = dict(zip(slots[:, IDENT].tolist(), slots[:, HITS].tolist(), strict=True))
@@ -286,7 +287,7 @@ class JointFilter:
             if beside and (apart := float(np.linalg.norm(np.array(beside) - place, axis=1).min())) < NEXT_TO_M:
                 off, refuted = apart, True
             if refuted:
-                out[sites.name[self._setup.links.site[link]]] = off, std.max()
+                out[sites.name[self._setup.links.site[link]]] = off, float(std.max())
         return [
             f"the survey of site {name}, with deviations of {std:g} m, is off by {off:.1f} m or more, as measurements "
             "have it: state larger deviations (position_std_m), or leave the survey out"
