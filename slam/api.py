@@ -26,8 +26,10 @@ class Setup(Described):
     """What is known before the drive: links, sites with offset priors and surveys, odometry data sheet, start pose and
     deviations (6,).
 
-    `map`: of VTs, as earlier drives left it; None: none is known. `truth` is None but for an estimator that declares
-    `requires_truth`, `future` but for one that declares `requires_future`: all steps of the drive that begins.
+    `range_scale_std`: deviation of the scale k by which all distances are measured too long, measured = (1 + k) true +
+    clock offset; 0: there is no such error. `map`: of VTs, as earlier drives left it; None: none is known. `truth` is
+    None but for an estimator that declares `requires_truth`, `future` but for one that declares `requires_future`: all
+    steps of the drive that begins.
     """
 
     links: Links
@@ -38,6 +40,7 @@ class Setup(Described):
     truth: Truth | None = None
     map: VtMap | None = None
     future: tuple[Step, ...] | None = None
+    range_scale_std: float = 0.0
 
     @property
     def surveyed(self) -> tuple[Ints, Floats, Floats]:
@@ -170,6 +173,7 @@ def setup_of(
         truth=_frozen_copy(recording.truth) if with_truth else None,
         map=known,
         future=tuple(steps_of(recording)) if with_future else None,
+        range_scale_std=recording.range_scale_std,
     )
 
 

@@ -85,6 +85,9 @@ class KnownMap(EkfSlam):
         link, vt = np.nonzero(self._setup.links.site[:, None] == vts.site)
         mixture.know(link, vt, vts.position_m[vt], np.zeros((len(vt), 3)), LONG_AGO)
 
+    def _refuted_surveys(self) -> list[str]:
+        return []  # the true map is in the place of the surveys
+
 
 def _truth(setup: Setup) -> Truth:
     if setup.truth is None:

@@ -120,6 +120,7 @@ COLUMNS = (
     Column("start_pose", (6,), _POSE_UNIT, labels=_POSE, rule="finite"),
     Column("start_std", (6,), _POSE_UNIT, labels=_POSE, rule="prior"),
     Column("plane", (), kind="int", optional=True),
+    Column("range_scale_std", (), optional=True, rule="deviation"),
     Column("provenance", (), "JSON", kind="text"),
     Column("truth/poses", ("T", 6), _POSE_UNIT, labels=_POSE, rule="finite"),
     Column("truth/measurement_vt", ("M",), kind="int", index=("V",), none=True),

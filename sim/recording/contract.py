@@ -44,6 +44,7 @@ class Recording(Described):
     `odometry_model` describes the motion itself, about zero (noise density 0: the vehicle does not move that way).
     `reference` is what a measured drive is scored by, `truth` what a simulated one is; either may be missing.
     `plane`: array, sources and reflections lie in one horizontal plane, so that all elevations are zero unmeasured.
+    `range_scale_std`: deviation of the scale k of range, distance_m = (1 + k) true distance + clock offset; 0: none.
 
     Raises InputError, naming table, column and row, where a column breaks the contract.
     """
@@ -60,6 +61,7 @@ class Recording(Described):
     truth: Truth | None = None
     reference: Reference | None = None
     plane: bool = False
+    range_scale_std: float = 0.0
 
     def __post_init__(self) -> None:
         values = values_of(self)
@@ -135,6 +137,7 @@ def values_of(recording: Recording) -> dict[str, Any]:
 
 def _check_values(column: Column, values: NDArray[Any], sizes: Mapping[str, int]) -> None:
     """Raise InputError, naming the row, where a value breaks its column's rule."""
+    values = np.atleast_1d(values)
     if column.rule:
         fulfilled, problem = RULES[column.rule]
         _require(fulfilled(values), column.name, problem)

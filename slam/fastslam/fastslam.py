@@ -330,7 +330,9 @@ class FastSlam(JointFilter):
         poses = np.repeat(mixture.arrays.x[:1, :POSE], len(offsets), axis=0)
         poses[:, PLANE] += offsets
         clock_m = mixture.arrays.x[0, self._core.offsets]
-        log_weight = log_prior + log_likelihood(poses, widths, clock_m, remembered, measured)
+        log_weight = log_prior + log_likelihood(
+            poses, widths, clock_m, self._setup.range_scale_std, remembered, measured
+        )
         likely = np.argsort(-log_weight)[: self.options.hypotheses]
         likely = likely[log_weight[likely] >= log_weight[likely[0]] + math.log(self.options.prune_ratio)]
         mixture.split(np.zeros(len(likely) - 1, np.int64))

@@ -5,7 +5,8 @@ s, and the first snapshot tells which of them may be:
 
     p(r)       = sum_k exp(l_k) N(r; m_k, diag(s^2))
     l_k       += sum_i log(c + P_D sum_v N(z_i; h(m_k, v), S_iv))
-    S_iv       = R_i + H diag(s^2) H^T + H P_v H^T,    of each of distance, azimuth and elevation alone
+    S_iv       = R_i + H diag(s^2) H^T + H P_v H^T,    of each of distance, azimuth and elevation alone; of a distance d
+                 (sigma_k d)^2 besides, for the scale k of range
     z_i        measurements of the snapshot, R_i its variances;  c  density of clutter, and of VTs not in the map
     v          VTs of the map on the measurement's link that were seen from near m_k, P_v their covariances
 
@@ -45,17 +46,21 @@ def components_of_pose(std: Floats, widths: Floats, step: float) -> tuple[Floats
     return offsets[kept], log_weight[kept], np.array([axis[2] for axis in axes])
 
 
-def log_likelihood(poses: Floats, std: Floats, offset_m: Floats, remembered: Remembered, measured: Measured) -> Floats:
+def log_likelihood(
+    poses: Floats, std: Floats, offset_m: Floats, range_scale_std: float, remembered: Remembered, measured: Measured
+) -> Floats:
     """Return the log-likelihood (K,) of a snapshot from poses (K, 6) that are as uncertain as `std` (3,) says, with
-    clock offsets (S,) in m."""
+    clock offsets (S,) in m and a scale of range of this deviation."""
     parts = [
-        _log_likelihood(poses[k : k + AT_A_TIME], std, offset_m, remembered, measured)
+        _log_likelihood(poses[k : k + AT_A_TIME], std, offset_m, range_scale_std, remembered, measured)
         for k in range(0, len(poses), AT_A_TIME)
     ]
     return np.concatenate(parts)
 
 
-def _log_likelihood(poses: Floats, std: Floats, offset_m: Floats, remembered: Remembered, measured: Measured) -> Floats:
+def _log_likelihood(
+    poses: Floats, std: Floats, offset_m: Floats, range_scale_std: float, remembered: Remembered, measured: Measured
+) -> Floats:
     known, total = remembered.known, np.zeros(len(poses))
     low, high = np.swapaxes(known.seen_m, 0, 1)
     spread2 = np.trace(known.covariance_m2, axis1=1, axis2=2) / 3.0
@@ -71,7 +76,8 @@ def _log_likelihood(poses: Floats, std: Floats, offset_m: Floats, remembered: Re
         flat2 = (h[..., 0] * np.cos(h[..., 2])) ** 2
         moved2 = max(std[0], std[1]) ** 2 + spread2[here]
         of_pose = np.stack(
-            [np.broadcast_to(moved2, flat2.shape), moved2 / flat2 + std[2] ** 2, moved2 / h[..., 0] ** 2], axis=-1
+            [moved2 + (range_scale_std * h[..., 0]) ** 2, moved2 / flat2 + std[2] ** 2, moved2 / h[..., 0] ** 2],
+            axis=-1,
         )
         e = z[None, None] - h[:, :, None]  # (K, v, m, 3)
         e[..., 1] = wrap_angle(e[..., 1])

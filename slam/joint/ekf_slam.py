@@ -50,16 +50,20 @@ from cellslam.slam.joint.calibration_states import begin_with, found
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.map_states import Box, Observed, Remembered, map_after
 from cellslam.slam.joint.map_trial import MapTrial
-from cellslam.slam.joint.mixture import Mixture, vt_estimate
+from cellslam.slam.joint.mixture import KNOWN, Mixture, vt_estimate
 from cellslam.slam.joint.new_filters import LONGEST, MOST_STATES, array_errors, core_of, new_mixture
 from cellslam.slam.joint.sizes import Sizes, growth, sizes_of
 from cellslam.slam.joint.snapshot import snapshot_kernel
 from cellslam.slam.joint.snapshot.birth_kernel import births
 from cellslam.slam.joint.snapshot.motion_kernel import Interval
-from cellslam.slam.joint.start import START_STATES, Start, begin
+from cellslam.slam.joint.start import START_STATES, Start, begin, width_of_components
 from cellslam.slam.joint.state.layout import (
     ENTRY,
     FREE,
+    HITS,
+    IDENT,
+    POSITION,
+    SPREAD,
     ArrayErrors,
     Association,
     BlockLimits,
@@ -81,6 +85,13 @@ BLOCK_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long 
 AWAY_S = 3.0  # a VT that was not seen for so long returns, if it is seen again
 AGAIN = 1.25  # filters of all sites that did not agree with the start are tried again after so many times as long
 GROW_EVERY, MOST_GROWN = 64, 5.0  # snapshots; times as large as assumed
+FULL = (
+    "the state is full: measurements began no more VTs and errors; lower vts or hold_s, or raise calibration_scale_deg "
+    "or roof_scale_deg"
+)
+REFUTED = 5.0  # deviations by which measurements move a site off its survey, so that the survey is called wrong
+NEXT_TO_M = 10.0  # a VT so near to a site that is seldom measured itself is this site: no wall is half as near
+LEAST_SHOWN = 0.01  # of its variance, that is expected to be shown at least: a share too small is rounding
 EVIDENCE = 0.0125  # least share of detections and misses that is news: what hides a VT lasts for seconds
 
 
@@ -129,6 +140,13 @@ class JointFilter:
         self._by_step: dict[int, tuple[Floats, Rules]] = {}
         self._elevation_variance = math.radians(self.options.elevation_std_deg) ** 2
         sites = self._setup.sites
+        wide, given = width_of_components(sites.clock_offset_std_m, self.options), self.options.component_std_m
+        if wide > given:
+            self.options = self.options.model_copy(update={"component_std_m": wide})
+            self._misfit.append(
+                f"clock offsets so uncertain take components of {wide:.0f} m, not {given:g} m, to fit into memory: "
+                "give smaller clock_offset_std_m where the offsets are known better"
+            )
         self._start: Start | None = None
         self._vts: VtEstimate | None = None
         self._joint: Mixture | None = None
@@ -202,8 +220,12 @@ class JointFilter:
         return sizes_of(own._joint.collapsed(), own._errors, own._setup.odometry_model.noise_density, own._grown)
 
     def remarks(self) -> list[str]:
-        """Return what the drive says against the sizes of errors that the filter assumes, and against its map."""
-        return self._valid._misfit + (self.sizes().remarks() if self.resolved else [])
+        """Return what the drive says against the sizes of errors that the filter assumes, its map and surveys."""
+        own = self._valid
+        if own._joint is None:
+            return own._misfit
+        full = [FULL] if own._joint.full else []
+        return own._misfit + full + self.sizes().remarks() + own._refuted_surveys()
 
     def calibration(self) -> Calibration | None:
         """Return the array's calibration as the drive has shown it; None where it is no state.
@@ -241,6 +263,36 @@ class JointFilter:
     def _surveyed_idents(self, link: Ints) -> Ints:
         """Return the identities that the surveyed transmitters of some links (n,) have as VTs."""
         return link
+
+    def _refuted_surveys(self) -> list[str]:
+        """Return which surveys the measurements contradict, in a line for each site.
+
+        From the covariance P_0 of a survey to the P that is left, an estimate moves by N(0, P_0 - P). A transmitter
+        that is measured more often beside its survey than there, stands beside.
+        """
+        assert self._joint is not None
+        mixture, sites = self._joint.collapsed(), self._setup.sites
+        out: dict[str, tuple[float, float]] = {}
+        rows, f = mixture.vts(mixture.best, self.options.confirm_hits), mixture.likeliest
+        slots = f.vts.slots[: f.count[0]]
+        hits = dict(zip(slots[:, IDENT].tolist(), slots[:, HITS].tolist(), strict=True))
+        for link, place, std in zip(*self._setup.surveyed, strict=True):
+            (ident,), on_link = self._surveyed_idents(np.array([link])), rows[rows[:, 1] == link]
+            own = on_link[on_link[:, 0] == ident][0]
+            beside = [row[POSITION:SPREAD] for row in on_link if row[0] != ident and hits[row[0]] > hits[ident] - KNOWN]
+            moved, left2 = own[POSITION:SPREAD] - place, np.diag(own[SPREAD:].reshape(3, 3))
+            expected = np.sqrt(np.maximum(std**2 - left2, LEAST_SHOWN * std**2))
+            refuted = bool((np.abs(moved) > REFUTED * expected)[std > 0.0].any())
+            off = float(np.linalg.norm(moved))
+            if beside and (apart := float(np.linalg.norm(np.array(beside) - place, axis=1).min())) < NEXT_TO_M:
+                off, refuted = apart, True
+            if refuted:
+                out[sites.name[self._setup.links.site[link]]] = off, float(std.max())
+        return [
+            f"the survey of site {name}, with deviations of {std:g} m, is off by {off:.1f} m or more, as measurements "
+            "have it: state larger deviations (position_std_m), or leave the survey out"
+            for name, (off, std) in out.items()
+        ]
 
     def _alike(self, **changes: Any) -> Self:
         """Return another filter of the same kind, with some options changed."""

@@ -53,6 +53,9 @@ from cellslam.slam.model.measurement_model import jacobians
 from cellslam.slam.model.pose_moments import mixture_moments
 
 NEW_STATES, NEW_VTS = 160, 24  # that a snapshot may bring
+# Bytes of a mixture's covariances. While they grow there are two of them; work space and what the process had before
+# come to as much again: below 2 GB.
+MOST_BYTES = 5e8
 ROOM = 4  # times as many VTs as are kept, where a VT may begin as several guesses
 KNOWN = 1000  # detections of a VT known before the drive
 NO_ARRAY = np.empty(0)
@@ -91,13 +94,14 @@ def _threads(process: int) -> ThreadPoolExecutor:
 @dataclass
 class Mixture:
     """K filters: `arrays`, each with a leading axis of at least K, their blocks, log-weights (K,), and the `influence`
-    of VTs on these; the map that is `remembered`, if any."""
+    of VTs on these; the map that is `remembered`, if any; and whether they are `full`: no state may enter any more."""
 
     arrays: Filter
     blocks: Block
     log_weight: Floats
     influence: Influence
     remembered: Remembered | None = None
+    full: bool = False
 
     def __len__(self) -> int:
         return len(self.log_weight)
@@ -129,12 +133,14 @@ class Mixture:
             self.log_weight = self.influence.weigh(self.arrays)
 
     def make_room(self, measured: Measured, most_vts: int) -> None:
-        """Make room for what a snapshot may bring, VTs of a remembered map among it."""
+        """Make room for what a snapshot may bring, VTs of a remembered map among it, as far as memory allows."""
         if self.remembered is not None:
             self._meet(self.remembered, measured.now)
         guesses = measured.births.guesses
         room = most_vts * (ROOM if guesses else 1) - _most_of(self.arrays.count)
-        self.reserve(NEW_STATES + 3 * guesses, min(NEW_VTS + guesses, max(room, 0)))
+        new, free = NEW_STATES + 3 * guesses, max(self._most_states - _most_of(self.arrays.size), 0)
+        self.full = self.full or free < new
+        self.reserve(min(new, free), min(NEW_VTS + guesses, max(room, 0)))
         self.arrays.lost.used[:] = 0
 
     def split(self, parents: Ints) -> None:
@@ -187,11 +193,16 @@ class Mixture:
         if 2 * len(kept) < len(self.arrays.x):
             self._resize(len(kept))
 
+    @property
+    def _most_states(self) -> int:
+        """How many states each filter has room for."""
+        return int(math.sqrt(MOST_BYTES / 8.0 / len(self.arrays.x)))
+
     def reserve(self, states: int, vts: int) -> None:
         """Grow the arrays to have room for so many more states and VTs."""
         arrays, width, places = self.arrays, len(self.arrays.x[0]), len(self.arrays.vts.slots[0])
         if _most_of(arrays.size) + states > width:
-            more = max(width // 2, states)
+            more = max(min(width // 2, self._most_states - width), states)
             arrays = arrays._replace(
                 x=_padded(arrays.x, more, 1), owner=_padded(arrays.owner, more, 1),
                 p=_covariances(arrays, len(arrays.x), width + more),

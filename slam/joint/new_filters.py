@@ -88,6 +88,7 @@ def core_of(setup: Setup, errors: ArrayErrors, drawn: int = 0) -> Core:
         return out
 
     sway, ground = places(np.full(3, errors.sway.any())), int(places([errors.ground > 0.0])[0])
+    range_scale = int(places([setup.range_scale_std > 0.0])[0])
     bias = places((model.bias > 0.0) | (model.bias_walk_density > 0.0))
     scale, noise = places(model.scale != 0.0), places(model.noise_density != 0.0)
     first_offset, wander = end, sites.walk_densities
@@ -97,8 +98,9 @@ def core_of(setup: Setup, errors: ArrayErrors, drawn: int = 0) -> Core:
     step_m = np.array(sites.step_std_m)  # one that can be written: for others the kernels would be compiled again
     common = 0 if setup.map is None else setup.map.common_m.shape[2]
     return Core(
-        sway=sway, ground=ground, bias=bias, scale=scale, noise=noise, first_offset=first_offset, rate=rate,
-        wander=wander, step_m=step_m, drawn=sums, first_common=end, size=end + common,
+        sway=sway, ground=ground, range_scale=range_scale, bias=bias, scale=scale, noise=noise,
+        first_offset=first_offset, rate=rate, wander=wander, step_m=step_m, drawn=sums, first_common=end,
+        size=end + common,
     )  # fmt: skip
 
 
@@ -118,6 +120,8 @@ def new_mixture(
         variance[core.sway] = errors.sway**2
     if core.ground >= 0:
         variance[core.ground] = errors.ground**2
+    if core.range_scale >= 0:
+        variance[core.range_scale] = setup.range_scale_std**2
     for of, std in ((core.bias, model.bias), (core.scale, model.scale)):
         variance[of[of >= 0]] = std[of >= 0] ** 2
     variance[core.offsets] = offset_std_m**2

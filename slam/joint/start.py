@@ -30,11 +30,19 @@ from cellslam.slam.model.pose_moments import known_together, mixture_moments
 REACH = 4.0  # the components cover this many deviations of the prior
 COMBINATIONS, LEAST = 32, 0.001  # of components that go on, and how likely each must be against the best of its site
 PRUNE_EVERY = 8  # snapshots
+MOST_FILTERS = 2048  # of all sites together, of which each uses 0.3 MB or more
 KNOWN_M2 = 1e-6  # variance of a place, or heading, that is known
 RETURN_LOG_ODDS = -4.0  # from which on a VT unseen for a while may be the one that is seen
 GATE = 16.3  # squared Mahalanobis distance, chi-square of three: one of a thousand that are right is beyond it
 SHORTER = 40  # weights of the roof leave so many times sooner than after the start: a filter for each component
 START_STATES = 440  # room of a filter: memory that is not used costs nothing; growing does, and rows 4096 bytes apart
+
+
+def width_of_components(std_m: Floats, options: EkfSlamOptions) -> float:
+    """Return the width, in m, of the components of priors N(0, std_m^2), (S,): that of the options, or a greater one
+    where these would be more than MOST_FILTERS."""
+    least = 2.0 * REACH * float(std_m.sum()) / (options.component_step * MOST_FILTERS)
+    return max(options.component_std_m, least)
 
 
 def components(std_m: float, component_std_m: float, step: float) -> tuple[Floats, Floats, float]:

@@ -21,13 +21,14 @@ NOW = 3  # number of a snapshot
 
 
 class OneFilter:
-    """A joint filter `f` of pose, one clock offset and VTs, on one link, with room `w` for its kernels."""
+    """A joint filter `f` of pose, one clock offset and VTs, on one link, with room `w` for its kernels; with a
+    `scale` of range, too, if it is given one."""
 
-    def __init__(self, errors: Any = NO_ERRORS, step_m: float = 0.0, **rules: Any) -> None:
+    def __init__(self, errors: Any = NO_ERRORS, step_m: float = 0.0, scale: float | None = None, **rules: Any) -> None:
         none, nowhere = np.zeros(1, np.int64), np.zeros(6)
         setup = Setup(
             Links(none, none, none), Sites(("A",), np.zeros(1), np.ones(1), clock_step_std_m=np.array([step_m])),
-            OdometryModel(*(np.zeros((4, 6)))), nowhere, nowhere,
+            OdometryModel(*(np.zeros((4, 6)))), nowhere, nowhere, range_scale_std=0.0 if scale is None else 1.0,
         )  # fmt: skip
         parts: dict[str, Any] = {
             "association": layout.Association(mode=FREE, log_clutter=0.0, gate=16.3, return_log_odds=0.0, away=4),
@@ -41,6 +42,8 @@ class OneFilter:
         self.errors = errors
         self.mixture = new_mixture(setup, core_of(setup, errors), errors, np.zeros((1, 1)), np.zeros(1))
         self.f, self.block = one_of(self.mixture.arrays, 0), block_of(self.mixture.blocks, 0)
+        if scale is not None:
+            self.f.x[self.f.core.range_scale] = scale
         self.offset, self.w = self.mixture.core.first_offset, new_room(self.f, 12, PENDING)
         self.w.pending.rows[:], self.w.pending.t[:] = np.nan, np.nan
 

@@ -77,6 +77,7 @@ def load(folder: Path, *, sites: str = "unknown") -> Campaign:
         start_pose=(rx[0, 0], rx[1, 0], 0.0, float(yaw[0]), 0.0, 0.0),
         reference=ReferenceTable(times, rx[:2].T, yaw, 0.01),
         plane=True,
+        range_scale_std=0.0,  # a sounder counts samples of one clock
         about={
             "campaign": "Tampere 60 GHz",
             "description": "Tampere 60 GHz; odometry simulated from surveyed poses"

@@ -65,6 +65,7 @@ def load(folder: Path) -> Campaign:
         start_pose=(0.0,) * 6 if reference is None else None,
         reference=reference,
         plane=sheet.plane,
+        range_scale_std=0.0,  # a sounder counts samples of one clock
         about=about,
     )
 

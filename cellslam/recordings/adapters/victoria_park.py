@@ -77,6 +77,7 @@ def load(folder: Path) -> Campaign:
         noise=SHEET,
         reference=ReferenceTable(fixes_s[kept], fixes[kept]),
         plane=True,
+        range_scale_std=0.0,  # a laser's pulses are timed to centimetres at any distance
         about={"campaign": "Victoria Park"},
     )
 

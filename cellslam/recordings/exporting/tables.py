@@ -107,6 +107,7 @@ def _write_manifest(recording: Recording, made: Tables, place: Path, sources: Ma
     text: dict[str, Any] = {
         "description": str(r.provenance.get("description") or "exported by cellslam"),
         "plane": r.plane,
+        "range_scale_std": float(r.range_scale_std),
         "measurements": table("measurements", link={"column": "link"}),
         "snapshots": table("snapshots"),
         "start": {

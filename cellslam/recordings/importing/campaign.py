@@ -28,6 +28,9 @@ CLAIMS = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
 KINDS_OF_NOISE = ("noise_density", "bias", "bias_walk_density", "scale")  # of a data sheet
 NOTHING = (0.0,) * 6
 SAME_TIME_S = 1e-6  # measurements nearer than this belong to one snapshot
+# A clock off by 1e-4 is the least of it: what is measured is the time of a threshold in an envelope, which comes the
+# later the weaker the path, and with it the farther; ranging radios have been found long or short by up to 6 %.
+RANGE_SCALE_STD = 0.04
 LEAST_SHARED = 0.2  # of the shorter of two tables' spans: a late start or an early end of one leaves more
 SLACK_S = 1.0  # drives of a moment: a table that begins so much later is not of another clock
 GPS_TO_UNIX_S = 315_964_782  # the epoch of GPS time, less the leap seconds since (18 from 2017 on)
@@ -55,7 +58,8 @@ class Campaign:
     y, std z) in metres; a site that is not in it was not surveyed. `link_azimuths`: where each sector's antenna points,
     rad counter-clockwise from east, NaN where it is not known.
     `start_pose`: None takes it from the reference. `snapshots_s`: times of all snapshots, empty ones too; None: the
-    times of the measurements. `noise`: OdometryModel's fields by name, each (6,).
+    times of the measurements. `noise`: OdometryModel's fields by name, each (6,). `range_scale_std`: deviation of the
+    scale by which all distances may be measured too long; 0: it is known to be right.
     """
 
     time_s: ArrayLike
@@ -74,6 +78,7 @@ class Campaign:
     reference: ReferenceTable | None = None
     snapshots_s: ArrayLike | None = None
     plane: bool = False
+    range_scale_std: float = RANGE_SCALE_STD
     about: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -112,6 +117,7 @@ def build(campaign: Campaign) -> Recording:
         provenance=dict(campaign.about),
         reference=reference,
         plane=campaign.plane,
+        range_scale_std=campaign.range_scale_std * ("distance_m" in campaign.columns),
     )
 
 

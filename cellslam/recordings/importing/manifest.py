@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from cellslam.recordings.importing.campaign import RANGE_SCALE_STD
 from cellslam.scenarios.keys import validate
 from cellslam.sim.data_files import text_of, toml_of
 from cellslam.sim.errors import InputError
@@ -152,6 +153,10 @@ class Manifest(Table):
 
     description: str = Field("", description="what, where, when, by whom")
     plane: bool = Field(False, description="array, sources and reflections lie in one horizontal plane")
+    range_scale_std: float = Field(
+        RANGE_SCALE_STD, ge=0, le=0.5, description="deviation of the scale by which all distances may be measured too "
+        "long; 0: it is known to be right",
+    )  # fmt: skip
     measurements: PathTable
     start: Start
     snapshots: FileTable | None = None

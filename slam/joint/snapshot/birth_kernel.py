@@ -23,7 +23,15 @@ from numpy.typing import NDArray
 from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.frames.frames_kernel import TURN, wrap
 from cellslam.sim.recording import Floats
-from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry, roof_first, rotations_of
+from cellslam.slam.joint.snapshot.sight_kernel import (
+    Sight,
+    coordinates,
+    errors_of,
+    geometry,
+    range_factor,
+    roof_first,
+    rotations_of,
+)
 from cellslam.slam.joint.snapshot.sizes_kernel import count_weight
 from cellslam.slam.joint.snapshot.update_kernel import (
     LOG_2PI,
@@ -53,6 +61,7 @@ from cellslam.slam.joint.state.layout import (
     LINK,
     MERGED,
     OF_VT,
+    POSE,
     POSITION,
     SHARE,
     SPREAD,
@@ -71,6 +80,7 @@ from cellslam.slam.joint.state.layout import (
 from cellslam.slam.joint.state.states_kernel import covariance_of, enter, leave, owner_of
 from cellslam.slam.model.arrays_kernel import put
 from cellslam.slam.model.matrices_kernel import (
+    Mat3,
     Sym3,
     Vec3,
     cholesky,
@@ -109,23 +119,25 @@ def give_birth(
         return False
     for c in range(3):
         enter(f, owner_of(j, VT + c, f.vts.state.shape[1]), 0.0)
-    turned, here = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2])
+    turned, here, factor = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), range_factor(f)
     f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2] = here.x, here.y, here.z
     errors = Vec3(0.0, 0.0, 0.0)
     for _ in range(2):  # where it points to, and once more from there, with the errors of that direction
-        away = z[0] - errors.x - (f.x[offset] if ranged else 0.0)
+        away = (z[0] - errors.x - (f.x[offset] if ranged else 0.0)) / factor
         to = spherical(mat_vec(turned.r, direction(z[1] - errors.y, z[2] - errors.z)))
         at = f.vts.state[j]
         f.x[at[VT]], f.x[at[VT + 1]], f.x[at[VT + 2]] = max(away, NEAREST_M), to.azimuth, to.elevation
         seen = geometry(f, j, offset, here, turned, coordinates(f, j), s)
         errors = errors_of(f, a, j, seen, diffuse, 1.0, now, s)
     if not ranged:
-        s.by[0, 6] = 0.0  # a guess has nothing to do with the clock
+        s.by[0, POSE] = 0.0  # a guess has nothing to do with the clock, nor with the scale of range
+        if f.core.range_scale >= 0:
+            s.by[0, POSE + 1] = 0.0
     vt = coordinates(f, j)
     world = vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)
-    inverse = mat_mat(
-        mat_mat(spherical_jacobian(world), turned.r), cartesian_jacobian(seen.distance, seen.azimuth, seen.elevation)
-    )
+    by = cartesian_jacobian(seen.distance / factor, seen.azimuth, seen.elevation)
+    by = Mat3(by.xx / factor, by.xy, by.xz, by.yx / factor, by.yy, by.yz, by.zx / factor, by.zy, by.zz)
+    inverse = mat_mat(mat_mat(spherical_jacobian(world), turned.r), by)
     hph = gains(f, s, w)  # the VT's own states have no variance yet
     spread = congruence(inverse, Sym3(hph.xx + q[0], hph.xy, hph.xz, hph.yy + q[1], hph.yz, hph.zz + q[2]))
     p, d, x, y, z_ = f.p, f.particles.deviation, first, first + 1, first + 2  # the states that have entered above

@@ -1,6 +1,7 @@
 """Compiled: what a filter expects to measure of a VT, errors that persist included, and the Jacobian by its states.
 
-    z = h(pose, VT) + e_1 offset + calibration(direction) + roof(direction) + diffuse + turns + ground + white
+    z = diag(1 + k, 1, 1) h(pose, VT) + e_1 offset + calibration(direction) + roof(direction) + diffuse + turns + ground
+        + white,    k: scale of range
 
 The direction is the predicted one, in the body frame. Fields of direction are linear in their weights: a row of bells.
 Their slope is left out of the Jacobian: with it the filter takes an error of the pose for one of the array.
@@ -97,9 +98,15 @@ def coordinates(f: Filter, j: int) -> Spherical:
 
 
 @lean
+def range_factor(f: Filter) -> float:
+    """Return how many times as long as it is a distance is measured, clock offsets left out: 1 + k."""
+    return 1.0 + f.x[f.core.range_scale] if f.core.range_scale >= 0 else 1.0
+
+
+@lean
 def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt: Spherical, s: Sight) -> Spherical:
-    """Begin the Jacobian s of a measurement of VT j with pose, clock offset and VT; return h without the offset, m and
-    rad.
+    """Begin the Jacobian s of a measurement of VT j with pose, clock offset, scale of range and VT; return h, scaled,
+    without the offset, in m and rad.
 
     Seen from a place (m) with the rotation `turned`, the VT having these coordinates about its anchor. A place besides
     the present one, as that of an earlier measurement, turns with the vehicle.
@@ -107,7 +114,8 @@ def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt:
     anchor, at = Vec3(f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2]), f.vts.state[j]
     to_vt = vec_minus(vec_plus(anchor, vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)), place)
     body = transposed_vec(turned.r, to_vt)
-    by_body = spherical_jacobian(body)
+    seen, factor, by = spherical(body), range_factor(f), spherical_jacobian(body)
+    by_body = Mat3(factor * by.xx, factor * by.xy, factor * by.xz, by.yx, by.yy, by.yz, by.zx, by.zy, by.zz)
     by_place = mat_mat(by_body, transposed(turned.r))
     by_yaw = mat_vec(by_body, transposed_vec(turned.by_psi, to_vt))
     by_turn = mat_vec(by_place, Vec3(f.x[1] - place.y, place.x - f.x[0], 0.0))
@@ -118,11 +126,13 @@ def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt:
         mat_vec(by_body, transposed_vec(turned.by_phi, to_vt)),
     ))  # fmt: skip
     put(s, offset, 1.0, 0.0, 0.0)
+    if f.core.range_scale >= 0:
+        put(s, f.core.range_scale, seen.distance, 0.0, 0.0)
     by_vt = mat_mat(by_place, cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation))
     put(s, at[VT], by_vt.xx, by_vt.yx, by_vt.zx)
     put(s, at[VT + 1], by_vt.xy, by_vt.yy, by_vt.zy)
     put(s, at[VT + 2], by_vt.xz, by_vt.yz, by_vt.zz)
-    return spherical(body)
+    return Spherical(factor * seen.distance, seen.azimuth, seen.elevation)
 
 
 @lean

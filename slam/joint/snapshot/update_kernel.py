@@ -21,7 +21,7 @@ from typing import NamedTuple
 from cellslam.sim.compiling import lean
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry
+from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry, range_factor
 from cellslam.slam.joint.snapshot.sizes_kernel import count_diffuse, count_white
 from cellslam.slam.joint.state.layout import DIFFUSE, HITS, LINK, MERGED, POSE, SHARE, ArrayErrors, Block, Filter, Rules
 from cellslam.slam.model.arrays_kernel import downdate
@@ -305,8 +305,15 @@ def innovate_particles(
         up[c] = whole.z + expected.elevation - h.elevation
     for m in range(s.size[0]):
         place, b0, b1, b2 = s.at[m], s.by[0, m], s.by[1, m], s.by[2, m]
-        if place < POSE or place == offset or place == at[0] or place == at[1] or place == at[2]:
-            continue  # geometry and clock, which are above
+        if (
+            place < POSE
+            or place == offset
+            or place == f.core.range_scale
+            or at[0] == place
+            or at[1] == place
+            or at[2] == place
+        ):
+            continue  # geometry, clock and scale of range, which are above
         _subtract(far, across, up, Vec3(b0, b1, b2), d[place])
     for r in range(k):
         _subtract(far, across, up, times(s, w.rows[r]), w.whitened[r])
@@ -320,10 +327,13 @@ def innovate_particles(
 
 @lean
 def _seen_by(f: Filter, j: int, measurement: BlockMeasurement, particle: int) -> Spherical:
-    """Return the distance (m) and direction (rad) of VT j as a particle has both, or the mean (-1)."""
+    """Return the measured distance (m), without clock offset, and direction (rad) of VT j as a particle has both, or
+    the mean (-1)."""
     at, x, d = f.vts.state[j], f.x, f.particles.deviation
     distance, azimuth, elevation, place, turned = x[at[0]], x[at[1]], x[at[2]], measurement.place, measurement.turned.r
+    factor, scale = range_factor(f), f.core.range_scale
     if particle >= 0:
+        factor += d[scale, particle] if scale >= 0 else 0.0
         distance += d[at[0], particle]
         azimuth += d[at[1], particle]
         elevation += d[at[2], particle]
@@ -332,7 +342,8 @@ def _seen_by(f: Filter, j: int, measurement: BlockMeasurement, particle: int) ->
         turned = rotations(measurement.pose[3] + by[3], measurement.pose[4] + by[4], measurement.pose[5] + by[5]).r
     anchor = Vec3(f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2])
     to_vt = vec_minus(vec_plus(anchor, vec_scaled(direction(azimuth, elevation), distance)), place)
-    return spherical(transposed_vec(turned, to_vt))
+    seen = spherical(transposed_vec(turned, to_vt))
+    return Spherical(factor * seen.distance, seen.azimuth, seen.elevation)
 
 
 @lean

@@ -25,25 +25,27 @@ EXISTS, SHARE, MERGED, WORTH, ANCHOR = range(3, 8)
 FREE, KNOWN_ASSOCIATION, KNOWN_MAP, BELIEF = range(4)
 # A VT of the map: identity, link, position (3), covariance (9).
 POSITION, SPREAD, ENTRY = 2, 5, 14
-# States that one measurement touches at most: pose, sway, ground, clock offset, VT and its diffuse errors; weights of
-# five fields.
-TOUCHED = POSE + 3 + 1 + 1 + VT_STATES + 5 * MOST_BELLS
+# States that one measurement touches at most: pose, sway, ground, scale of range, clock offset, VT and its diffuse
+# errors; weights of five fields.
+TOUCHED = POSE + 3 + 1 + 1 + 1 + VT_STATES + 5 * MOST_BELLS
 
 
 class Core(NamedTuple):
     """States that are always there: pose (0-5), turns of the array within a snapshot (yaw, pitch, roll), how much
-    the ground reflects, odometry biases and scales that the data sheet has, what its white noise has summed up to
-    lately, clock offsets (S), rates of those that drift, errors that the VTs of a remembered map have in common.
+    the ground reflects, the scale of range, odometry biases and scales that the data sheet has, what its white noise
+    has summed up to lately, clock offsets (S), rates of those that drift, errors that the VTs of a remembered map have
+    in common.
 
     `bias`, `scale`, `noise` (6,), `rate` (S,): place of each component's error and of each offset's rate, `sway` (3,),
-    `ground`, -1 where there is none; `drawn` (D, 6): places of what the odometry's white noise sums up to in each of
-    the last D blocks, in a filter that draws it, -1 where a component has none. `wander` (2, S): densities of the walks
-    of offsets and rates, m/sqrt(s), (m/s)/sqrt(s); `step_m` (S,): deviation of the size of steps of offsets, m, 0 where
-    a clock does not step. From `first_common` to `size`: the map's errors.
+    `ground`, `range_scale`, -1 where there is none; `drawn` (D, 6): places of what the odometry's white noise sums up
+    to in each of the last D blocks, in a filter that draws it, -1 where a component has none. `wander` (2, S):
+    densities of the walks of offsets and rates, m/sqrt(s), (m/s)/sqrt(s); `step_m` (S,): deviation of the size of steps
+    of offsets, m, 0 where a clock does not step. From `first_common` to `size`: the map's errors.
     """
 
     sway: Ints
     ground: int
+    range_scale: int
     bias: Ints
     scale: Ints
     noise: Ints

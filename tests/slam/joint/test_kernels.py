@@ -41,23 +41,26 @@ def slopes(function: Callable[[Any], Any], x: Any) -> Any:
     return np.array([(function(x + step) - function(x - step)) / 2e-6 for step in steps]).T
 
 
-def test_prediction_and_jacobians_are_those_of_the_model(one_filter: Any) -> None:
-    one = one_filter()
+@pytest.mark.parametrize("scale", [None, 0.06])
+def test_prediction_and_jacobians_are_those_of_the_model(one_filter: Any, scale: float | None) -> None:
+    one = one_filter(scale=scale)
     one.put(POSE, 15.0, [90.0, 2.5, 0.3], anchor=[-4.0, 6.0, 2.0])
-    p, mean = one.spread(np.random.default_rng(0).normal(size=(10, 10))), one.f.x[:10].copy()
+    n = one.n
+    p, mean = one.spread(np.random.default_rng(0).normal(size=(n, n))), one.f.x[:n].copy()
 
     def expected(x: Any) -> Any:
-        one.f.x[:10] = x
+        one.f.x[:n] = x
         return one.model(0)[0]
 
     h, by = one.model(0)
-    np.testing.assert_allclose(h - [15.0, 0.0, 0.0], predict(POSE, one.place(0)), rtol=1e-12)
+    by_model = predict(POSE, one.place(0)) * [1.0 + (scale or 0.0), 1.0, 1.0]
+    np.testing.assert_allclose(h - [15.0, 0.0, 0.0], by_model, rtol=1e-12)
     np.testing.assert_allclose(by, slopes(expected, mean), rtol=1e-6, atol=1e-7)
-    one.f.x[:10] = mean
+    one.f.x[:n] = mean
     spread = (by @ p @ by.T)[np.triu_indices(3)]
-    _, hph = compare(one.f, NO_ERRORS, 0, OFFSET, one.measurement(h, np.ones(3)), one.w.sight, one.w.pending)
+    _, hph = compare(one.f, NO_ERRORS, 0, one.offset, one.measurement(h, np.ones(3)), one.w.sight, one.w.pending)
     np.testing.assert_allclose(hph, spread, rtol=1e-10)
-    given = expect(one.f, NO_ERRORS, 0, OFFSET, rotations_of(one.f), one.w.sight)
+    given = expect(one.f, NO_ERRORS, 0, one.offset, rotations_of(one.f), one.w.sight)
     np.testing.assert_allclose(given.hph, spread, rtol=1e-10)
     np.testing.assert_allclose(given.z, h, rtol=1e-12)
 
@@ -83,26 +86,29 @@ def test_errors_that_persist_enter_and_are_linear_in_their_states(one_filter: An
     np.testing.assert_allclose(h, plain, rtol=1e-12)
 
 
-def test_birth_is_exact_and_correlated_with_all_states(one_filter: Any) -> None:
-    one, z, q = one_filter(), np.array([120.0, 1.0, 0.2]), np.array([0.4, 2e-4, 3e-4])
+@pytest.mark.parametrize("scale", [None, 0.06])
+def test_birth_is_exact_and_correlated_with_all_states(one_filter: Any, scale: float | None) -> None:
+    one, z, q = one_filter(scale=scale), np.array([120.0, 1.0, 0.2]), np.array([0.4, 2e-4, 3e-4])
     one.put(POSE, 15.0)
-    before = one.spread(np.random.default_rng(0).normal(size=(7, 7)) * 0.01)
+    n = one.n
+    before = one.spread(np.random.default_rng(0).normal(size=(n, n)) * 0.01)
 
     def born(x: Any) -> Any:
-        """Return range, azimuth, elevation about POSE's place of what pose, offset and measurement point to."""
-        out = x[:3] + (x[7] - x[6]) * rotation(*x[3:6]) @ unit_vector(x[8], x[9]) - POSE[:3]
+        """Return range, azimuth, elevation about POSE's place of what pose, scale, offset and measurement point to."""
+        distance = (x[n] - x[one.offset]) / (1.0 if scale is None else 1.0 + x[one.f.core.range_scale])
+        out = x[:3] + distance * rotation(*x[3:6]) @ unit_vector(x[n + 1], x[n + 2]) - POSE[:3]
         flat = np.hypot(out[0], out[1])
         return np.array([np.hypot(flat, out[2]), np.arctan2(out[1], out[0]), np.arctan2(out[2], flat)])
 
     one.f.vts.state[0] = -1
-    assert give_birth(one.f, NO_ERRORS, 0, OFFSET, z, q, True, 1.0, 3, one.w.sight, one.w.pending)
-    given, at = np.concatenate([POSE, [15.0], z]), one.f.vts.state[0, :3]
-    by, p = slopes(born, given), one.f.p[: one.n, : one.n]
-    np.testing.assert_array_equal(at, [7, 8, 9])
+    given = np.concatenate([one.f.x[:n], z])
+    assert give_birth(one.f, NO_ERRORS, 0, one.offset, z, q, True, 1.0, 3, one.w.sight, one.w.pending)
+    at, by, p = one.f.vts.state[0, :3], slopes(born, given), one.f.p[: one.n, : one.n]
+    np.testing.assert_array_equal(at, n + np.arange(3))
     np.testing.assert_allclose(one.f.x[at], born(given), rtol=1e-12)
-    np.testing.assert_allclose(p[7:, :7], by[:, :7] @ before, rtol=1e-5, atol=1e-9)
-    spread = by[:, :7] @ before @ by[:, :7].T + (by[:, 7:] * q) @ by[:, 7:].T
-    np.testing.assert_allclose(p[7:, 7:], spread, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(p[n:, :n], by[:, :n] @ before, rtol=1e-5, atol=1e-9)
+    spread = by[:, :n] @ before @ by[:, :n].T + (by[:, n:] * q) @ by[:, n:].T
+    np.testing.assert_allclose(p[n:, n:], spread, rtol=1e-5, atol=1e-9)
     np.testing.assert_array_equal(p, p.T)
 
 
