@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.scores.metrics import METRIC, shown_in
-from cellslam.benchmarks.tables.summaries import BOUNDED, CONFIDENCE, RATIOS, estimate, plain
+from cellslam.benchmarks.scores.statistics import plain
+from cellslam.benchmarks.tables.summaries import BOUNDED, CONFIDENCE, RATIOS, estimate
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -183,7 +184,7 @@ def _heading(key: str, value: Any, columns: str | None, oracles: frozenset[str])
 
 
 def _label(key: str, value: Any, oracles: frozenset[str]) -> str:
-    if value is None or (isinstance(value, float) and math.isnan(value)):
+    if _missing(value):
         return "-"
     text = f"{value:g}" if isinstance(value, float) else str(value)
     return f"{text} (oracle)" if key == "estimator" and text in oracles else text

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import platform
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
+from cellslam.benchmarks.scores.statistics import plain
 from cellslam.benchmarks.sweeps.rows import provenance, results
 from cellslam.scenarios.suites import Suite, digest, suite
 from cellslam.sim.data_files import json_of, text_of
@@ -62,17 +62,11 @@ def as_text(some: SuiteRows) -> str:
         raise InputError(f"rows of a part of {some.suite.name} are no entry: leave out --trials and --scenario")
     head = {"suite": some.suite.name, "digest": digest(some.suite), "machine": some.machine, "versions": some.versions}
     head["oracles"] = sorted(some.oracles)
-    rows = ([_plain(value) for value in row] for row in some.rows[list(COLUMNS)].astype(object).to_numpy().tolist())
-    lines = ",\n".join(json.dumps(row, allow_nan=False) for row in rows)
+    rows = some.rows[list(COLUMNS)].astype(object).to_numpy().tolist()
+    six_digits = ([float(f"{v:.6g}") if isinstance(v, float) else v for v in row] for row in rows)
+    lines = ",\n".join(json.dumps(list(map(plain, row)), allow_nan=False) for row in six_digits)
     about = json.dumps({**head, "columns": COLUMNS}, indent=1)[:-2]
     return f'{about},\n "rows": [\n{lines}\n]\n}}\n'
-
-
-def _plain(value: Any) -> Any:
-    """Return a value as JSON holds it: numbers with six digits."""
-    if isinstance(value, float):
-        return float(f"{value:.6g}") if math.isfinite(value) else None
-    return value
 
 
 def read(path: Path) -> SuiteRows:

@@ -11,7 +11,6 @@ defined in `__main__`, as in a notebook, since no other process has it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -20,6 +19,7 @@ import numpy as np
 
 from cellslam.benchmarks.scores import metrics
 from cellslam.benchmarks.scores.alignment import aligned
+from cellslam.benchmarks.scores.statistics import plain
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.earlier_drives import Before
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
@@ -202,7 +202,7 @@ def outcome_of(
         "peak_memory_mb": result.peak_memory_mb,
     }
     row |= {"status": "ok", "error": None, **scores, **cost}
-    return Outcome({key: _plain(value) for key, value in row.items()}, result)
+    return Outcome({key: plain(value) for key, value in row.items()}, result)
 
 
 def _estimate(
@@ -219,9 +219,3 @@ def _estimate(
         return external.estimate(recording, request, rng, progress, known)
     warm_up(request, progress)
     return estimate(recording, request, rng, progress, known)
-
-
-def _plain(value: Any) -> Any:
-    """Return a value that JSON holds: numpy scalars as Python's, NaN and infinity as None."""
-    value = value.item() if hasattr(value, "item") else value
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellslam.sim.errors import InputError
+from cellslam.benchmarks.trials.output_files import writing
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -53,9 +53,8 @@ def at_once(path: Path, write: Callable[[Path], None]) -> None:
     """Write a file under another name first, so that nothing half-written is left behind."""
     place = path.with_name(f".{os.getpid()}.{path.name}")
     try:
-        write(place)
-        place.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
+        with writing(path):
+            write(place)
+            place.replace(path)
     finally:
         place.unlink(missing_ok=True)

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from cellslam.benchmarks.scores.trial_result import TrialResult
-from cellslam.benchmarks.trials.output_files import write_tum
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import VtEstimate, WallEstimate
@@ -52,11 +51,6 @@ def shown(recording: Recording, result: TrialResult | None) -> Shown:
     known = np.isfinite(reference.position_m[:, :2]).all(axis=1)
     poses = np.column_stack([np.nan_to_num(reference.position_m), angles])[known]
     return Shown("reference", reference.time_s[known], poses, no_vts)
-
-
-def tum(data: Shown, path: Path) -> None:
-    """Write the trajectory."""
-    write_tum(path, data.time_s, data.poses)
 
 
 def geojson(data: Shown, place: Place, path: Path) -> None:

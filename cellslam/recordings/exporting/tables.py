@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.benchmarks.scores.array_calibration import field_map
+from cellslam.benchmarks.trials.output_files import writing
 from cellslam.recordings.importing.campaign import CLAIMS, KINDS_OF_NOISE, QUANTITIES
 from cellslam.recordings.importing.columns import ATTITUDE, POSITION, TABLES
 from cellslam.recordings.importing.manifest import NAME
@@ -155,13 +156,12 @@ def new_folder(folder: Path) -> Iterator[Path]:
         raise InputError(f"--out {folder}: there is no folder {folder.parent}; create it first")
     place = folder.absolute().with_name(f".{folder.name}.{os.getpid()}.tmp")
     try:
-        place.mkdir()
-        yield place
-        if folder.exists():
-            folder.rmdir()
-        place.replace(folder)
-    except OSError as error:
-        raise InputError(f"--out {folder}: cannot be written ({error.strerror or error})") from error
+        with writing(folder):
+            place.mkdir()
+            yield place
+            if folder.exists():
+                folder.rmdir()
+            place.replace(folder)
     finally:
         shutil.rmtree(place, ignore_errors=True)
 
