@@ -10,8 +10,7 @@ from cellslam.benchmarks.trials.output_files import check_folder, write_text, wr
 from cellslam.benchmarks.trials.trials import check_counts
 from cellslam.cli.arguments import add
 from cellslam.cli.cities import write_pictures
-from cellslam.cli.long_requests import note_long
-from cellslam.cli.output import note
+from cellslam.cli.output import note, note_long
 from cellslam.cli.progress_bars import bars
 from cellslam.scenarios.loading import from_tables
 from cellslam.scenarios.overrides import parse_all

@@ -15,7 +15,7 @@ from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, Trial, check_counts, simulated_trials
 from cellslam.cli.arguments import ESTIMATION, add, limits, whole
 from cellslam.cli.between_drives import check_map, with_calibration, with_map
-from cellslam.cli.long_requests import note_long
+from cellslam.cli.output import note_long
 from cellslam.cli.progress_bars import bars
 from cellslam.cli.results import Results, left_out
 from cellslam.scenarios import external_options
