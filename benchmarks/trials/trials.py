@@ -72,13 +72,11 @@ class Drive(Described):
 
 @dataclass(frozen=True, repr=False)
 class Trial(Described):
-    """One trial of all estimators; recording and bound are None where its world could not be made."""
+    """One trial of all estimators."""
 
     number: int
-    recording: Recording | None
-    bound: BoundResult | None
+    drive: Drive
     outcomes: tuple[Outcome, ...]
-    unbound: str = ""
 
 
 def check_counts(trials: int, seed: int) -> None:
@@ -110,7 +108,7 @@ def simulated_trials(
         drive, outcomes = score_trial(make, scenario.name, requests, number, seed, external, progress, before=before)
         if number == 0 and isinstance(drive.problem, InputError):
             raise drive.problem
-        yield Trial(number, drive.recording, drive.bound, tuple(outcomes), drive.unbound)
+        yield Trial(number, drive, tuple(outcomes))
 
 
 def score_trial(
@@ -146,7 +144,7 @@ def score_recording(
 ) -> Trial:
     """Return the trial of all requests on a recording; arguments as of `score_trial`."""
     drive, outcomes = score_trial(lambda: recording, scenario, requests, trial, seed, **more)
-    return Trial(trial, drive.recording, drive.bound, tuple(outcomes), drive.unbound)
+    return Trial(trial, drive, tuple(outcomes))
 
 
 def failed_row(scenario: str, estimator: str, trial: int, seed: int, error: str) -> Row:

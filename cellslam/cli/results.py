@@ -103,8 +103,8 @@ class Results:
         if self.first is None:
             self._clear()
         self.rows.extend(outcome.row for outcome in trial.outcomes)
-        self.bounds.extend([row] if (row := bound_row(trial)) else [])
-        self.note(f"without the bound: {trial.unbound}" if trial.unbound else "")
+        self.bounds.extend([] if trial.drive.bound is None else [bound_row(trial.drive.bound)])
+        self.note(f"without the bound: {trial.drive.unbound}" if trial.drive.unbound else "")
         self._write_trial(trial)
         if self.first is None:
             self.first, self.keep = trial, self.open_store()
@@ -133,7 +133,7 @@ class Results:
 
     def _write_trial(self, trial: Trial) -> None:
         """Write trajectories (TUM), the truth's too, and the traceback of each estimator that failed."""
-        recording, suffix = trial.recording, f"-{trial.number}" if self.trials > 1 else ""
+        recording, suffix = trial.drive.recording, f"-{trial.number}" if self.trials > 1 else ""
         with writing(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
             if recording is not None and recording.truth is not None:
@@ -146,7 +146,8 @@ class Results:
                     write_text(self.folder / f"error-{name}.txt", outcome.traceback)
 
     def _write_summary(self) -> None:
-        provenance = self.first.recording.provenance if self.first and self.first.recording else {}
+        recording = self.first.drive.recording if self.first else None
+        provenance = {} if recording is None else recording.provenance
         about = {
             "command": self.command,
             "scenario": self.name,
@@ -162,10 +163,10 @@ class Results:
 
         world = self._world_of(trial)
         results = {o.row["estimator"]: o.result for o in trial.outcomes if o.result is not None}
-        if trial.recording is not None and results:
+        if trial.drive.recording is not None and results:
             city = world.scene.city if world else None
             with writing(self.folder):
-                draw_all(city, trial.recording, results, trial.bound, self.folder, progress)
+                draw_all(city, trial.drive.recording, results, trial.drive.bound, self.folder, progress)
         if world is not None and getattr(self.arguments, "rays", False):
             from cellslam.benchmarks.report.city_page import draw_rays
 
@@ -173,11 +174,11 @@ class Results:
 
     def _world_of(self, trial: Trial) -> World | None:
         """Return the world of a trial, for the maps; None for a recording without scenario."""
-        if self.scenario is None or trial.recording is None:
+        if self.scenario is None or trial.drive.recording is None:
             return None
         from cellslam.sim.world import prepare
 
-        return prepare(self.scenario.world, int(trial.recording.provenance.get("seed", 0)), trial.number)
+        return prepare(self.scenario.world, int(trial.drive.recording.provenance.get("seed", 0)), trial.number)
 
     def _title(self) -> str:
         row = next((row for row in self.rows if row["snapshots"] is not None), None)

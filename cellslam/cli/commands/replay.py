@@ -72,7 +72,7 @@ def command(arguments: Namespace) -> int:
 
         interrupted = results.work_off(only(), progress)
     status = results.report(interrupted)
-    if results.first is not None and results.first.recording is not None:
+    if results.first is not None and results.first.drive.recording is not None:
         found = [outcome.result for outcome in results.first.outcomes if outcome.result is not None]
-        results.note("\n".join(chain(*doubts(results.first.recording, found, given.fitted).values())))
+        results.note("\n".join(chain(*doubts(results.first.drive.recording, found, given.fitted).values())))
     return status
