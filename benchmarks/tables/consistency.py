@@ -1,4 +1,4 @@
-"""Whether estimators know how wrong they are: claimed covariances against the errors, over the trials of a sweep.
+"""Whether estimators know how wrong they are: their covariances against the errors, over the trials of a sweep.
 
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation" (2001), section 5.4:
 over N trials the mean of a consistent filter's normalised error squared (NEES) is chi-square over N.
@@ -27,7 +27,7 @@ SIGMAS = 2.0  # of the clocks' band
 
 
 def consistency(folder: str | Path, times: int = 10, rows: Sequence[str] | None = None) -> pd.DataFrame:
-    """Return how honest the claimed covariances of a sweep's trials are, by group, at `times` moments up to the end.
+    """Return how consistent covariances are with errors, by group of a sweep's trials, at `times` moments.
 
     Where drives of a group differ in length, a moment is the same share of each. Columns: the row keys, `time_s` (the
     median), `trials`; `nees` of the horizontal position, mean over trials (2 is right), with

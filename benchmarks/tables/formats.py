@@ -131,14 +131,14 @@ def summary_grid(tidy: pd.DataFrame, keys: Sequence[str], columns: str | None, o
 
 
 def consistency_grid(tidy: pd.DataFrame, keys: Sequence[str], oracles: frozenset[str]) -> Grid:
-    """Return the grid of how honest claimed covariances are, a line for each moment."""
+    """Return the grid of how consistent covariances are with the errors, a line for each moment."""
     lines = []
     for line in tidy.to_dict("records"):
         row = (_label(key, line[key], oracles) for key in keys)
         band = f"{number(line['nees_low'])} to {number(line['nees_high'])}"
         shares = (_percent(line, "clock"), _percent(line, "vt"))
         lines.append((*row, f"{line['time_s']:.0f}", number(line["nees"]), band, *shares, str(line["trials"])))
-    headings = ("time (s)", "NEES", "95 % if honest", "clocks in 2 sigma", "VTs in 95 %", "trials")
+    headings = ("time (s)", "NEES", "95 % if consistent", "clocks in 2 sigma", "VTs in 95 %", "trials")
     notes = ("NEES: of the horizontal position, mean over trials; shares with 95 % intervals; VTs: those at the end",)
     return Grid((*keys, *headings), tuple(lines), len(keys), notes)
 

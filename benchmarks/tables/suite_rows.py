@@ -76,7 +76,7 @@ def read(path: Path) -> SuiteRows:
     try:
         table: Any = json_of(text_of(path))
         frame = pd.DataFrame(table["rows"], columns=table["columns"]).reindex(columns=list(COLUMNS))
-        one, said = suite(str(table["suite"])), str(table["digest"])
+        one, stated = suite(str(table["suite"])), str(table["digest"])
         made, machine, marked = dict(table["versions"]), str(table["machine"]), frozenset(table["oracles"])
         found = SuiteRows(one, one.scenarios, one.trials, made, machine, marked, frame)
         estimators = frame["estimator"].unique()
@@ -87,8 +87,8 @@ def read(path: Path) -> SuiteRows:
         if isinstance(error, InputError):
             raise InputError(f"{path}: {error}") from error
         raise InputError(f"{path}: not rows of a suite, as 'cellslam bench accuracy --rows' writes them") from error
-    if said != digest(one):
-        raise InputError(f"{path}: made with another {one.name} (digest {said[:12]}, here {digest(one)[:12]})")
+    if stated != digest(one):
+        raise InputError(f"{path}: made with another {one.name} (digest {stated[:12]}, here {digest(one)[:12]})")
     every = sorted((e, s, t) for e in estimators for s in one.scenarios for t in range(one.trials_of(s)))
     if drives != every or set(frame["seed"]) != {one.seed}:
         raise InputError(f"{path}: not every drive of {one.name} once for each estimator")

@@ -80,7 +80,7 @@ def estimates_by(
     return recording, results, given.fitted
 
 
-def doubts(recording: Recording, results: Sequence[TrialResult], fitted: bool) -> dict[str, list[str]]:
+def warnings_by(recording: Recording, results: Sequence[TrialResult], fitted: bool) -> dict[str, list[str]]:
     """Return by estimator what speaks against its estimate (`worse_than_odometry`).
 
     `recording` has the data sheet that estimators assume, which was to be learnt if `fitted`.

@@ -71,11 +71,11 @@ def command(arguments: Namespace) -> int:
         interrupted = results.work_off(simulated_trials(scenario, requests, trials, seed, external, progress), progress)
     status = results.report(interrupted)
     if not interrupted and any(row["status"] == "ok" for row in results.rows):
-        results.note(worth_trying(results))
+        results.note(next_commands(results))
     return status
 
 
-def worth_trying(results: Results) -> str:
+def next_commands(results: Results) -> str:
     """Return the commands that one may want to give next, each with what it does."""
     again, folder = results.command, shlex.quote(str(results.folder))
     commands = {f"cellslam report {folder}": "one page of it, with a playback"} if results.keep is not None else {}

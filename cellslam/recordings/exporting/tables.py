@@ -13,7 +13,7 @@ import numpy as np
 
 from cellslam.benchmarks.scores.array_calibration import field_map
 from cellslam.benchmarks.trials.output_files import writing
-from cellslam.recordings.importing.campaign import CLAIMS, KINDS_OF_NOISE, QUANTITIES
+from cellslam.recordings.importing.campaign import DEVIATIONS, KINDS_OF_NOISE, QUANTITIES
 from cellslam.recordings.importing.columns import ATTITUDE, POSITION, TABLES
 from cellslam.recordings.importing.manifest import NAME
 from cellslam.sim.errors import InputError
@@ -53,7 +53,7 @@ def tables(recording: Recording) -> Tables:
     """Return the tables that are imported again, by name and column; what was not measured has no column."""
     r, m = recording, recording.measurements
     paths: dict[str, Any] = {"time_s": r.time_s[m.snapshot], "link": m.link}
-    for name in (*QUANTITIES, *CLAIMS):
+    for name in (*QUANTITIES, *DEVIATIONS):
         column = getattr(m, name)
         if column is not None and not (len(m) and np.isnan(column).all()):
             paths[name] = column
