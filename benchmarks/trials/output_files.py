@@ -45,7 +45,7 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); give another --out") from error
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); give another path") from error
 
 
 def write_text(path: Path, text: str) -> None:
