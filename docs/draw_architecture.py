@@ -1,4 +1,4 @@
-"""Draw docs/images/architecture.svg: the packages, and which uses which, read from the imports; and the flow of the data.
+"""Draw docs/images/architecture.svg: the packages, which of them uses which by the imports, and the flow of data.
 
 python docs/draw_architecture.py        write the picture anew; a test holds it to the code
 """
@@ -142,8 +142,8 @@ def _flow() -> Iterator[str]:
 
 
 def _columns(graph: dict[str, set[str]]) -> list[list[str]]:
-    found = levels(graph)
-    return [sorted(package for package in found if found[package] == i) for i in range(1 + max(found.values(), default=-1))]
+    level = levels(graph)
+    return [sorted(p for p in level if level[p] == i) for i in range(1 + max(level.values(), default=-1))]
 
 
 def _height(graph: dict[str, set[str]]) -> int:

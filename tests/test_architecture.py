@@ -80,9 +80,9 @@ def offences(package: str, source: str) -> list[str]:
 def test_imports_run_one_way() -> None:
     # What `cellslam.benchmarks` offers of the Python API is loaded when it is asked for.
     known = {name: path for name, path in modules().items() if name not in ("cellslam", "cellslam.benchmarks")}
-    packages = {name: name.split(".")[1] for name in known}
-    found = {name: offences(package, known[name].read_text("utf-8")) for name, package in packages.items() if package in ORDER}
-    assert set(ORDER) <= set(packages.values())
+    package = {name: name.split(".")[1] for name in known}
+    found = {n: offences(package[n], path.read_text("utf-8")) for n, path in known.items() if package[n] in ORDER}
+    assert set(ORDER) <= set(package.values())
     assert {name: wrong for name, wrong in found.items() if wrong} == {}
 
 
