@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
@@ -22,7 +21,7 @@ CUTOFF_M = 20.0  # a pair farther apart is a truth missed and a false estimate
 DETECTIONS_OF_A_TRUE_VT = 20
 
 
-def gospa(truth_m: ArrayLike, estimate_m: ArrayLike) -> float:
+def gospa(truth_m: Floats, estimate_m: Floats) -> float:
     """Return the GOSPA in m between positions (n, d) and (k, d) in m, either possibly empty."""
     return gospa_of(cdist(truth_m, estimate_m))[0]
 
