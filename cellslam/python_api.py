@@ -74,10 +74,10 @@ def trial(
             lambda: simulate(chosen, seed, number, progress=progress),
             chosen.name, requests, number, seed, external, progress,
         )  # fmt: skip
-        found = tuple(outcomes)
+        found = Trial(number, drive, tuple(outcomes))
     if isinstance(drive.problem, InputError):
         raise drive.problem
-    return TrialView(chosen, seed, Trial(number, drive.recording, drive.bound, found, drive.unbound))
+    return TrialView(chosen, seed, found)
 
 
 class TrialView:
@@ -90,7 +90,7 @@ class TrialView:
 
     def __init__(self, scenario: Scenario, seed: int, found: Trial) -> None:
         self.scenario, self.seed, self.number = scenario, seed, found.number
-        self.recording, self.bound = found.recording, found.bound
+        self.recording, self.bound = found.drive.recording, found.drive.bound
         self.rows = _table([found])
         self.estimates = {o.row["estimator"]: o.result for o in found.outcomes if o.result is not None}
 

@@ -1,4 +1,4 @@
-"""Draw docs/images/architecture.svg: the rooms, and which uses which, read from the imports; and the way of the data.
+"""Draw docs/images/architecture.svg: the packages, which of them uses which by the imports, and the flow of data.
 
 python docs/draw_architecture.py        write the picture anew; a test holds it to the code
 """
@@ -13,9 +13,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE = ROOT / "docs" / "images" / "architecture.svg"
-FLOORS = ("cellslam", "benchmarks", "scenarios", "slam", "sim")
-# What a drive passes through, and the room that does it.
-WAY = (
+LAYERS = ("cellslam", "benchmarks", "scenarios", "slam", "sim")
+# What a drive passes through, and the package that does it.
+FLOW = (
     ("mesh or seed", ""),
     ("city", "sim/city"),
     ("rays", "sim/rays"),
@@ -27,24 +27,24 @@ WAY = (
     ("table, report", "benchmarks/tables"),
 )
 WIDTH, MARGIN, BOX, HEIGHT, STEP, GAP = 1180, 20, 108, 30, 46, 24
-STYLE = """text{font:13px sans-serif;fill:#1b1b1b}.floor{fill:#f4f4f2;stroke:#b9b9b4}.room{fill:#fff;stroke:#0072b2}
-.name{font-weight:600}.way{fill:#fff;stroke:#009e73}.use{fill:none;stroke:#8a8a86}.floors{fill:none;stroke:#d55e00;stroke-width:2}
+STYLE = """text{font:13px sans-serif;fill:#1b1b1b}.layer{fill:#f4f4f2;stroke:#b9b9b4}.package{fill:#fff;stroke:#0072b2}
+.name{font-weight:600}.flow{fill:#fff;stroke:#009e73}.use{fill:none;stroke:#8a8a86}.layers{fill:none;stroke:#d55e00;stroke-width:2}
 .note{fill:#5a5a56}.small{font-size:10.5px;fill:#5a5a56}"""
 
 
-def rooms(floor: str) -> list[str]:
-    """Return the rooms of a floor: its folders with Python files, one level deep."""
-    return sorted(p.name for p in (ROOT / floor).iterdir() if (p / "__init__.py").is_file() and not p.is_symlink())
+def packages(layer: str) -> list[str]:
+    """Return the packages of a layer: its folders with Python files, one level deep."""
+    return sorted(p.name for p in (ROOT / layer).iterdir() if (p / "__init__.py").is_file() and not p.is_symlink())
 
 
 def uses() -> dict[str, set[str]]:
-    """Return for each room, as "floor/room" or "floor" for what stands in none, the others that it imports."""
+    """Return for each package, as "layer/package" or "layer" for what stands in none, the others that it imports."""
     out: dict[str, set[str]] = {}
-    for floor in FLOORS:
-        for path in sorted((ROOT / floor).rglob("*.py")):
+    for layer in LAYERS:
+        for path in sorted((ROOT / layer).rglob("*.py")):
             parts = path.relative_to(ROOT).with_suffix("").parts
-            own = room_of(".".join(parts if floor == "cellslam" else ("cellslam", *parts)))
-            out.setdefault(own, set()).update({room_of(name) for name in imported(path)} - {own})
+            own = package_of(".".join(parts if layer == "cellslam" else ("cellslam", *parts)))
+            out.setdefault(own, set()).update({package_of(name) for name in imported(path)} - {own})
     return out
 
 
@@ -55,16 +55,16 @@ def imported(path: Path) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def room_of(name: str) -> str:
-    """Return the room that a dotted name stands in."""
-    _, floor, *rest = name.split(".")
-    if floor not in FLOORS:
-        floor, rest = "cellslam", [floor, *rest]
-    return f"{floor}/{rest[0]}" if rest and rest[0] in rooms(floor) else floor
+def package_of(name: str) -> str:
+    """Return the package that a dotted name stands in."""
+    _, layer, *rest = name.split(".")
+    if layer not in LAYERS:
+        layer, rest = "cellslam", [layer, *rest]
+    return f"{layer}/{rest[0]}" if rest and rest[0] in packages(layer) else layer
 
 
 def reduced(graph: dict[str, set[str]]) -> list[tuple[str, str]]:
-    """Return the edges of a graph without cycles less those that a longer way implies."""
+    """Return the edges of a graph without cycles less those that a longer path implies."""
 
     def reach(node: str) -> set[str]:
         return graph[node].union(*(reach(other) for other in graph[node]))
@@ -74,43 +74,43 @@ def reduced(graph: dict[str, set[str]]) -> list[tuple[str, str]]:
     )
 
 
-def inside(floor: str, graph: dict[str, set[str]]) -> dict[str, set[str]]:
-    """Return what the rooms of one floor use of each other."""
-    own = [f"{floor}/{room}" for room in rooms(floor)]
-    return {room: graph[room] & set(own) for room in own}
+def inside(layer: str, graph: dict[str, set[str]]) -> dict[str, set[str]]:
+    """Return what the packages of one layer use of each other."""
+    own = [f"{layer}/{package}" for package in packages(layer)]
+    return {package: graph[package] & set(own) for package in own}
 
 
 def levels(graph: dict[str, set[str]]) -> dict[str, int]:
-    """Return how far each room is from those that no other uses."""
+    """Return how far each package is from those that no other uses."""
     found: dict[str, int] = {}
 
-    def level(room: str) -> int:
-        if room not in found:
-            found[room] = 1 + max((level(user) for user in graph if room in graph[user]), default=-1)
-        return found[room]
+    def level(package: str) -> int:
+        if package not in found:
+            found[package] = 1 + max((level(user) for user in graph if package in graph[user]), default=-1)
+        return found[package]
 
-    for room in graph:
-        level(room)
+    for package in graph:
+        level(package)
     return found
 
 
 def drawn() -> str:
     """Return the picture as SVG."""
-    graph, parts, top = uses(), [*_way()], 130
+    graph, parts, top = uses(), [*_flow()], 130
     frames: dict[str, tuple[int, int]] = {}
-    for floor in FLOORS:
-        own = inside(floor, graph)
+    for layer in LAYERS:
+        own = inside(layer, graph)
         height = _height(own)
-        parts.append(_rect("floor", (MARGIN, top), (WIDTH - 2 * MARGIN, height)))
-        parts.append(f'<text class="name" x="{MARGIN + 10}" y="{top + 21}">{floor}/</text>')
-        parts += _rooms(own, top + 34)
-        frames[floor] = (top, height)
+        parts.append(_rect("layer", (MARGIN, top), (WIDTH - 2 * MARGIN, height)))
+        parts.append(f'<text class="name" x="{MARGIN + 10}" y="{top + 21}">{layer}/</text>')
+        parts += _packages(own, top + 34)
+        frames[layer] = (top, height)
         top += height + GAP
-    for upper, lower in pairwise(FLOORS):
+    for upper, lower in pairwise(LAYERS):
         start, end = sum(frames[upper]), frames[lower][0]
-        parts.append(f'<path class="floors" marker-end="url(#big)" d="M{WIDTH // 2} {start} V{end - 4}"/>')
+        parts.append(f'<path class="layers" marker-end="url(#big)" d="M{WIDTH // 2} {start} V{end - 4}"/>')
     note = (
-        "arrows: uses; what a longer way implies is left out; all floors may use lower ones, slam of sim the recording"
+        "arrows: uses; what a longer path implies is left out; all layers may use lower ones, slam of sim the recording"
     )
     parts.append(f'<text class="note" x="{MARGIN}" y="{top}">{note}</text>')
     arrow = '<path d="M0 0 L8 4 L0 8 z" fill="{0}"/>'
@@ -130,42 +130,42 @@ def _rect(kind: str, place: tuple[int, int], size: tuple[int, int]) -> str:
     return f'<rect class="{kind}" x="{x}" y="{y}" width="{width}" height="{height}" rx="5"/>'
 
 
-def _way() -> Iterator[str]:
-    yield f'<text class="name" x="{MARGIN}" y="28">the way of a drive</text>'
-    step = (WIDTH - 2 * MARGIN) // len(WAY)
-    for i, (what, room) in enumerate(WAY):
+def _flow() -> Iterator[str]:
+    yield f'<text class="name" x="{MARGIN}" y="28">the flow of a drive</text>'
+    step = (WIDTH - 2 * MARGIN) // len(FLOW)
+    for i, (what, package) in enumerate(FLOW):
         x = MARGIN + i * step
-        yield _rect("way", (x, 44), (step - 22, 48))
-        yield f'<text x="{x + 8}" y="64">{escape(what)}</text><text class="small" x="{x + 8}" y="82">{room}</text>'
+        yield _rect("flow", (x, 44), (step - 22, 48))
+        yield f'<text x="{x + 8}" y="64">{escape(what)}</text><text class="small" x="{x + 8}" y="82">{package}</text>'
         if i:
             yield f'<path class="use" style="stroke:#009e73" marker-end="url(#green)" d="M{x - 22} 68 H{x - 1}"/>'
 
 
 def _columns(graph: dict[str, set[str]]) -> list[list[str]]:
-    found = levels(graph)
-    return [sorted(room for room in found if found[room] == i) for i in range(1 + max(found.values(), default=-1))]
+    level = levels(graph)
+    return [sorted(p for p in level if level[p] == i) for i in range(1 + max(level.values(), default=-1))]
 
 
 def _height(graph: dict[str, set[str]]) -> int:
     return 44 + STEP * max((len(column) for column in _columns(graph)), default=0)
 
 
-def _rooms(graph: dict[str, set[str]], top: int) -> Iterator[str]:
+def _packages(graph: dict[str, set[str]], top: int) -> Iterator[str]:
     places = {}
     columns = _columns(graph)
     step = (WIDTH - 4 * MARGIN - BOX) // max(1, len(columns) - 1) if len(columns) > 1 else 0
     for i, column in enumerate(columns):
-        for j, room in enumerate(column):
-            places[room] = (2 * MARGIN + i * min(step, 220), top + j * STEP)
+        for j, package in enumerate(column):
+            places[package] = (2 * MARGIN + i * min(step, 220), top + j * STEP)
     for user, used in reduced(graph):
         (x, y), (u, v) = places[user], places[used]
         start, end, out, into = x + BOX, u - 1, y + HEIGHT // 2, v + HEIGHT // 2
         bend = (end - start) // 2
         curve = f"M{start} {out} C{start + bend} {out} {end - bend} {into} {end} {into}"
         yield f'<path class="use" marker-end="url(#small)" d="{curve}"/>'
-    for room, (x, y) in places.items():
-        yield _rect("room", (x, y), (BOX, HEIGHT))
-        yield f'<text x="{x + 8}" y="{y + 20}">{room.partition("/")[2]}/</text>'
+    for package, (x, y) in places.items():
+        yield _rect("package", (x, y), (BOX, HEIGHT))
+        yield f'<text x="{x + 8}" y="{y + 20}">{package.partition("/")[2]}/</text>'
 
 
 if __name__ == "__main__":

@@ -62,11 +62,11 @@ def main() -> None:
     path = json.loads(sys.stdin.readline())
     sys.path += [place for place in path if place and place not in sys.path]
     for question in sys.stdin:
-        answers.write(_said(*json.loads(question)) + "\n")
+        answers.write(_as_json(*json.loads(question)) + "\n")
         answers.flush()
 
 
-def _said(name: str, table: Mapping[str, Any]) -> str:
+def _as_json(name: str, table: Mapping[str, Any]) -> str:
     try:
         request = loaded(name, table)
         options = None if request.options is None else request.options.model_dump(mode="json")

@@ -44,7 +44,7 @@ class DeadReckoning:
         none = replace(setup, sites=Sites((), np.zeros(0), np.zeros(0)), links=Links(*np.zeros((3, 0), np.int64)))
         mixture = new_mixture(none, core_of(none, NO_ERRORS), NO_ERRORS, np.zeros((1, 0)), np.zeros(0))
         self._filter, size = one_of(mixture.arrays, 0), mixture.core.size
-        self._room = Step(np.empty((6, size + 6)), np.empty((6, mixture.arrays.x.shape[1])))
+        self._buffers = Step(np.empty((6, size + 6)), np.empty((6, mixture.arrays.x.shape[1])))
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Integrate one interval; the measurements are not used.
@@ -53,7 +53,7 @@ class DeadReckoning:
         """
         if dt_s > 0.0:
             noise, walk = np.array(self._model.noise_density, float), np.array(self._model.bias_walk_density, float)
-            move(self._filter, Interval(float(dt_s), np.array(odometry, float), noise, walk), self._room)
+            move(self._filter, Interval(float(dt_s), np.array(odometry, float), noise, walk), self._buffers)
         pose = self._filter.x[:6].copy()
         pose[3:] = wrap_angle(pose[3:])
         return Estimate(pose, self._filter.p[:6, :6].copy())

@@ -1,4 +1,4 @@
-"""The rooms: who imports whom, without circles; what an import loads; the picture of them."""
+"""The packages: who imports whom, without circles; what an import loads; the picture of them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from types import ModuleType
 import pytest
 
 ROOT = Path(__file__).parents[1]
-# Each room imports from those before it alone; the last three stand in cellslam/ itself.
+# Each package imports from those before it alone; the last three stand in cellslam/ itself.
 ORDER = ("sim", "slam", "scenarios", "benchmarks", "recordings", "python_api", "cli")
-ROOMS = ORDER[:4]
+PACKAGES = ORDER[:4]
 # Of sim, estimators see the data contract and the frames; the others are helpers without a model.
 OPEN_TO_SLAM = (
     "recording",
@@ -45,10 +45,10 @@ PICTURE = picture()
 def modules() -> dict[str, Path]:
     """Return all modules of the package by dotted name."""
     found = {}
-    for room in (*ROOMS, "cellslam"):
-        for path in (ROOT / room).rglob("*.py"):
+    for package in (*PACKAGES, "cellslam"):
+        for path in (ROOT / package).rglob("*.py"):
             name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-            found[name if room == "cellslam" else f"cellslam.{name}"] = path
+            found[name if package == "cellslam" else f"cellslam.{name}"] = path
     return found
 
 
@@ -63,31 +63,31 @@ def imported(source: str) -> set[str]:
     return found
 
 
-def offences(room: str, source: str) -> list[str]:
-    """Return the imports of `source`, a module of `room`, that run against the order of the rooms."""
+def offences(package: str, source: str) -> list[str]:
+    """Return the imports of `source`, a module of `package`, that run against the order of the packages."""
     out = []
     for name in imported(source):
         top, target, part = [*name.split("."), "", ""][:3]
-        if top in ROOMS or name.startswith("."):
+        if top in PACKAGES or name.startswith("."):
             out.append(f"{name} is not imported from cellslam")
         elif top == "cellslam" and target in ORDER:
-            against = ORDER.index(target) > ORDER.index(room)
-            if against or (room == "slam" and target == "sim" and part not in OPEN_TO_SLAM):
-                out.append(f"{room} imports {name}")
+            against = ORDER.index(target) > ORDER.index(package)
+            if against or (package == "slam" and target == "sim" and part not in OPEN_TO_SLAM):
+                out.append(f"{package} imports {name}")
     return out
 
 
 def test_imports_run_one_way() -> None:
     # What `cellslam.benchmarks` offers of the Python API is loaded when it is asked for.
     known = {name: path for name, path in modules().items() if name not in ("cellslam", "cellslam.benchmarks")}
-    rooms = {name: name.split(".")[1] for name in known}
-    found = {name: offences(room, known[name].read_text("utf-8")) for name, room in rooms.items() if room in ORDER}
-    assert set(ORDER) <= set(rooms.values())
+    package = {name: name.split(".")[1] for name in known}
+    found = {n: offences(package[n], path.read_text("utf-8")) for n, path in known.items() if package[n] in ORDER}
+    assert set(ORDER) <= set(package.values())
     assert {name: wrong for name, wrong in found.items() if wrong} == {}
 
 
 @pytest.mark.parametrize(
-    ("room", "source"),
+    ("package", "source"),
     [
         ("sim", "def f():\n    import cellslam.cli.main"),
         ("slam", "from cellslam.sim import lte"),
@@ -96,8 +96,8 @@ def test_imports_run_one_way() -> None:
         ("benchmarks", "from .table import results_table"),
     ],
 )
-def test_an_import_against_the_order_is_noticed(room: str, source: str) -> None:
-    assert offences(room, source)
+def test_an_import_against_the_order_is_noticed(package: str, source: str) -> None:
+    assert offences(package, source)
     assert not offences("slam", "from cellslam.sim.recording import Recording\nimport numpy.random")
 
 
@@ -111,9 +111,9 @@ def test_no_module_imports_in_a_circle() -> None:
     TopologicalSorter(graph).prepare()  # raises where there is a circle
 
 
-@pytest.mark.parametrize("floor", PICTURE.FLOORS)
-def test_no_room_imports_in_a_circle(floor: str) -> None:
-    graph = PICTURE.inside(floor, PICTURE.uses())
+@pytest.mark.parametrize("layer", PICTURE.LAYERS)
+def test_no_package_imports_in_a_circle(layer: str) -> None:
+    graph = PICTURE.inside(layer, PICTURE.uses())
     assert len(graph) > 1
     TopologicalSorter(graph).prepare()
 

@@ -1,4 +1,4 @@
-"""Count the lines of Python, room by room: those that are installed, and those of the tests."""
+"""Count the lines of Python, package by package: those that are installed, and those of the tests."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def command(arguments: Namespace) -> int:
-    """Print lines a room, and the sums."""
+    """Print lines a package, and the sums."""
     sums = {}
     for folder in (*INSTALLED, "tests", "tools"):
         path = arguments.root / folder
-        for room in sorted(p for p in path.iterdir() if p.is_dir() and not p.is_symlink() and count(p)):
+        for package in sorted(p for p in path.iterdir() if p.is_dir() and not p.is_symlink() and count(p)):
             if folder in INSTALLED:
-                print(f"{count(room):7d} {room.relative_to(arguments.root)}")
+                print(f"{count(package):7d} {package.relative_to(arguments.root)}")
         sums[folder] = count(path)
     print(f"{sum(sums[folder] for folder in INSTALLED):7d} installed")
     for folder in ("tests", "tools"):
@@ -34,5 +34,5 @@ def command(arguments: Namespace) -> int:
 
 def count(folder: Path) -> int:
     """Return the lines of the Python files of a folder, without those behind links."""
-    files = [Path(room, name) for room, _, names in os.walk(folder) for name in names if name.endswith(".py")]
+    files = [Path(package, name) for package, _, names in os.walk(folder) for name in names if name.endswith(".py")]
     return sum(len(p.read_text("utf-8").splitlines()) for p in files)

@@ -1,4 +1,4 @@
-"""What paths that are not told apart do to the bound.
+"""What paths that are not resolved do to the bound.
 
 A merged measurement lies between two paths, for as long as these stay close: azimuths are off by degrees, or, over a
 ground that reflects, elevations. Nobody tells an estimator which ones are merged. The lower bound counts them as if

@@ -22,6 +22,7 @@ from cellslam.slam.api import Estimate, Setup, Snapshot
 STEERING_LIMIT_RAD, STEERING_RATE_RADPS = 0.6, 0.5
 AHEAD, AHEAD_STEP_M = 10, 4.0
 GOAL_M = 3.0
+WINDOW = 200  # points of the route, before and behind the last one, among which the next is looked for
 GOAL_REWARD, CRASH_REWARD = 20.0, -20.0
 WIDE = np.array([1e5, 1e5, 1e4, 4.0, 4.0, 4.0])
 
@@ -209,9 +210,9 @@ class ActiveSlamEnv(ScenarioEnv):
         }
 
 
-def _nearest(points_m: Floats, pose: Floats, from_index: int, window: int = 200) -> int:
+def _nearest(points_m: Floats, pose: Floats, from_index: int) -> int:
     """Return the nearest point of a route, near the last one: a route may cross itself."""
-    low, high = max(from_index - window, 0), min(from_index + window + 1, len(points_m))
+    low, high = max(from_index - WINDOW, 0), min(from_index + WINDOW + 1, len(points_m))
     return low + int(np.argmin(np.sum((points_m[low:high] - pose[:2]) ** 2, axis=1)))
 
 

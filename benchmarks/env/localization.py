@@ -17,8 +17,8 @@ from cellslam.sim.frames import integrate_pose, mean_velocity
 from cellslam.sim.recording import Floats, OdometryModel, Recording
 from cellslam.slam.api import Setup, Snapshot, odometry_of, setup_of, snapshots_of
 
-CLAIMED = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
-COLUMNS = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db", *CLAIMED)
+DEVIATIONS = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
+COLUMNS = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db", *DEVIATIONS)
 LOWEST = np.array([-1e6, -4.0, -2.0, -300.0, 0.0, 0.0, 0.0])
 HIGHEST = np.array([1e6, 4.0, 2.0, 300.0, 1e6, 1e3, 1e3])
 REACH = 2.0  # deviations of the odometry's error that an action of 1 corrects

@@ -23,7 +23,7 @@ from cellslam.benchmarks.figures.style import (
     save,
 )  # fmt: skip
 from cellslam.sim.city.city import GROUND, City, Floats
-from cellslam.sim.rays import Paths
+from cellslam.sim.rays.exchange.traced_paths import Traced
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,27 +38,18 @@ SHADOW = 0.66  # of the light that the ground has in the sun
 ROOF = 0.5  # the least vertical part of a roof's normal
 
 
-def draw_plan(
-    path: Path,
-    city: City,
-    paths: Paths | None = None,
-    transmitters: Floats | None = None,
-    receivers: Floats | None = None,
-) -> None:
-    """Write the plan of a city, buildings shaded by height, with rays seen from above.
-
-    Transmitters (S, 3) and receivers (N, 3) in m.
-    """
-    low, high = _extent(_shown(city, paths, transmitters, receivers)[:, :2])
+def draw_plan(path: Path, city: City, rays: Traced | None = None) -> None:
+    """Write the plan of a city, buildings shaded by height, with rays seen from above."""
+    low, high = _extent(_shown(city, rays)[:, :2])
     wide, tall = (high - low) / (high - low).max()
     with context():
         figure = Figure(figsize=(max(7.0 * wide, 3.5) + 1.6, max(7.0 * tall, 3.5) + 0.8), layout="constrained")
         axes = figure.subplots()
         _buildings(figure, axes, city)
         axes.add_collection(LineCollection([s[:, :2] for s in city.streets], colors=GREY, linewidths=0.7))
-        if paths is not None and transmitters is not None and receivers is not None:
-            _rays(axes, paths, transmitters, receivers, np.eye(3)[:2], width=0.4, alpha=0.5)
-            axes.plot(*receivers[:, :2].T, ".", color=BLACK, markersize=2.0, label="receivers")
+        if rays is not None:
+            _rays(axes, rays, np.eye(3)[:2], width=0.4, alpha=0.5)
+            axes.plot(*rays.receivers_m[:, :2].T, ".", color=BLACK, markersize=2.0, label="receivers")
             for line in figure.legend(loc="outside lower center", ncols=4).get_lines():
                 line.set_linewidth(1.5)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x (m)", ylabel="y (m)")
@@ -67,27 +58,18 @@ def draw_plan(
         save(figure, path)
 
 
-def draw_view(
-    path: Path,
-    city: City,
-    paths: Paths | None = None,
-    transmitters: Floats | None = None,
-    receivers: Floats | None = None,
-) -> None:
-    """Write a picture of a city from above and aside, in parallel projection; rays are drawn over it.
-
-    Transmitters (S, 3) and receivers (N, 3) in m.
-    """
+def draw_view(path: Path, city: City, rays: Traced | None = None) -> None:
+    """Write a picture of a city from above and aside, in parallel projection; rays are drawn over it."""
     cos, sin = np.cos([AZIMUTH_RAD, ELEVATION_RAD]), np.sin([AZIMUTH_RAD, ELEVATION_RAD])
     right, ahead = np.array([-sin[0], cos[0], 0.0]), -np.array([cos[1] * cos[0], cos[1] * sin[0], sin[1]])
     screen = np.stack([right, np.cross(right, ahead)])
-    low, high = _extent(_shown(city, paths, transmitters, receivers) @ screen.T)
+    low, high = _extent(_shown(city, rays) @ screen.T)
     with context():
         figure = Figure(figsize=(8.75, 8.75 * (high - low)[1] / (high - low)[0]))
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.add_collection(_facets(city, screen, ahead))
-        if paths is not None and transmitters is not None and receivers is not None:
-            _rays(axes, paths, transmitters, receivers, screen, width=0.7, alpha=0.7)
+        if rays is not None:
+            _rays(axes, rays, screen, width=0.7, alpha=0.7)
         names = dict.fromkeys(city.materials[m].name for m in np.unique(city.facets.material))
         axes.legend(
             handles=[Patch(facecolor=material_colour(n), edgecolor=GREY, label=n.replace("_", " ")) for n in names],
@@ -137,31 +119,28 @@ def _buildings(figure: Figure, axes: Axes, city: City) -> None:
     figure.colorbar(patches, ax=axes, shrink=0.6, label="height (m)")
 
 
-def _rays(
-    axes: Axes, paths: Paths, transmitters: Floats, receivers: Floats, screen: Floats, width: float, alpha: float
-) -> None:
+def _rays(axes: Axes, rays: Traced, screen: Floats, width: float, alpha: float) -> None:
     """Draw rays and transmitters on a screen (2, 3): the directions to the right and up.
 
     Of very many rays, those of evenly spaced receivers.
     """
-    kept = np.unique(paths.receiver)[:: max(1, -(-len(paths) // SHOWN_RAYS))]
-    paths = paths.take(np.isin(paths.receiver, kept))
-    ends = transmitters[paths.transmitter], receivers[paths.receiver]
+    kept = np.unique(rays.paths.receiver)[:: max(1, -(-len(rays.paths) // SHOWN_RAYS))]
+    paths = rays.paths.take(np.isin(rays.paths.receiver, kept))
+    ends = rays.transmitters_m[paths.transmitter], rays.receivers_m[paths.receiver]
     corners = np.concatenate([ends[0][:, None], paths.points_m, ends[1][:, None]], axis=1)
     lines = [line[~np.isnan(line[:, 0])] for line in corners]  # transmitter, specular points, receiver
     for kind in np.unique(paths.kind)[::-1].tolist():
         chosen = [line @ screen.T for line, own in zip(lines, paths.kind, strict=True) if own == kind]
         style: dict[str, Any] = {"colors": KIND_COLOURS[kind], "label": KIND_NAMES[kind]}
         axes.add_collection(LineCollection(chosen, linewidths=width, alpha=alpha, **style))
-    axes.plot(*screen @ transmitters.T, "^", color=VERMILLION, markeredgecolor=BLACK, label="transmitters")
+    axes.plot(*screen @ rays.transmitters_m.T, "^", color=VERMILLION, markeredgecolor=BLACK, label="transmitters")
 
 
-def _shown(city: City, paths: Paths | None, transmitters: Floats | None, receivers: Floats | None) -> Floats:
+def _shown(city: City, rays: Traced | None) -> Floats:
     """Return the points (N, 3) that a picture must show: rays and their ends, or else all buildings."""
-    ends = [p for p in (transmitters, receivers) if p is not None and len(p)]
-    if paths is not None and ends:
-        corners = paths.points_m.reshape(-1, 3)
-        return np.concatenate([*ends, corners[~np.isnan(corners[:, 0])]])
+    if rays is not None:
+        corners = rays.paths.points_m.reshape(-1, 3)
+        return np.concatenate([rays.transmitters_m, rays.receivers_m, corners[~np.isnan(corners[:, 0])]])
     chosen = city.facets.building[city.triangle_facet] != GROUND
     return np.asarray(city.vertices[np.unique(city.triangles[chosen] if chosen.any() else city.triangles)], np.float64)
 

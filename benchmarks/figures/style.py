@@ -14,7 +14,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.path import Path as Outline
 
-from cellslam.sim.errors import InputError
+from cellslam.benchmarks.trials.output_files import writing
 from cellslam.sim.progress import Progress, silent
 
 Drawing = Callable[[Figure], bool]  # False: the figure does not apply, and nothing was drawn
@@ -122,11 +122,11 @@ def save(figure: Figure, path: Path) -> Path:
     Raises InputError, and leaves no half of it, where the disk refuses.
     """
     metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None}}.get(path.suffix[1:])
-    try:
-        figure.savefig(path, metadata=metadata)
-    except OSError as error:
-        with suppress(OSError):
-            path.unlink(missing_ok=True)
-        why = error.strerror or error
-        raise InputError(f"{path}: the figure cannot be written ({why}); give another --out") from error
+    with writing(path):
+        try:
+            figure.savefig(path, metadata=metadata)
+        except OSError:
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+            raise
     return path

@@ -96,9 +96,9 @@ function estimate(cell) {
 function ranksPicture() {
   const picture = make("img", { src: data.ranks.image, alt: "mean ranks and critical differences" });
   part("ranks").append(make("div", { class: "scroll", tabindex: "0" }, picture),
-    make("p", {}, `Told apart: ${data.ranks.told_apart.join("; ")}.`),
+    make("p", {}, `Significant differences: ${data.ranks.significant_pairs.join("; ")}.`),
     make("p", { class: "note" }, "Ranks of the position RMSE over trials, 1 the best, oracles aside; a bar joins what Nemenyi's test cannot"
-      + " tell apart. Pairs are told apart by Wilcoxon's signed-rank test, corrected for all pairs by Holm's method, at 5 %."));
+      + " distinguish. Pairs are compared by Wilcoxon's signed-rank test, corrected for all pairs by Holm's method, at 5 %."));
 }
 
 function failedTable() {

@@ -61,7 +61,6 @@ def write_page(path: Path, content: Mapping[str, Any]) -> None:
     from plotly.offline import get_plotlyjs
 
     from cellslam.benchmarks.trials.output_files import write_text
-    from cellslam.sim.errors import InputError
 
     def own(name: str) -> str:
         return (files("cellslam.benchmarks.report") / name).read_text("utf-8")
@@ -74,10 +73,7 @@ def write_page(path: Path, content: Mapping[str, Any]) -> None:
         "tables": own("page.js"),
         "plots": "\n".join(map(own, PLOTS)),
     }
-    try:
-        write_text(path, Template(own("page.html")).substitute(parts))
-    except OSError as error:
-        raise InputError(f"{path}: the page cannot be written ({error.strerror or error})") from error
+    write_text(path, Template(own("page.html")).substitute(parts))
 
 
 def packed(text: str) -> str:

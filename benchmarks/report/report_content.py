@@ -31,7 +31,7 @@ from cellslam.benchmarks.scores.metrics import METRIC, METRIC_KEYS
 from cellslam.benchmarks.sweeps.rows import provenance
 from cellslam.benchmarks.sweeps.store import reading
 from cellslam.benchmarks.tables.formats import Column, columns_of
-from cellslam.benchmarks.tables.rankings import told_apart
+from cellslam.benchmarks.tables.rankings import significant_pairs
 from cellslam.benchmarks.tables.summaries import CONFIDENCE, EFFICIENCY, estimate
 from cellslam.sim.progress import Progress
 from cellslam.slam.registry import oracles
@@ -104,7 +104,7 @@ def _cell(one: Series, column: Column) -> list[float | None] | None:
 
 
 def _ranks(data: SweepData) -> dict[str, Any] | None:
-    """Return the diagram of mean ranks as an SVG in a data URI, and how many pairs are told apart in each panel."""
+    """Return the diagram of mean ranks as an SVG in a data URI, and how many pairs of each panel differ."""
     judged = verdicts_of(data)
     with context():
         figure = Figure(layout="constrained")
@@ -112,8 +112,8 @@ def _ranks(data: SweepData) -> dict[str, Any] | None:
             return None
         drawn = BytesIO()
         figure.savefig(drawn, format="svg", metadata={"Date": None})
-    said = [f"{title}: {told_apart(one)}" if title else told_apart(one) for title, one in judged.items()]
-    return {"image": f"data:image/svg+xml;base64,{b64encode(drawn.getvalue()).decode()}", "told_apart": said}
+    pairs = [f"{title}: {significant_pairs(one)}" if title else significant_pairs(one) for title, one in judged.items()]
+    return {"image": f"data:image/svg+xml;base64,{b64encode(drawn.getvalue()).decode()}", "significant_pairs": pairs}
 
 
 def _curves(data: SweepData) -> list[dict[str, Any]]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.report.scene import Cities, rounded, scene_of
-from cellslam.benchmarks.scores.metrics import METRIC_KEYS
+from cellslam.benchmarks.scores.metrics import METRIC, METRIC_KEYS
 from cellslam.benchmarks.sweeps.store import reading, trajectory_of
 from cellslam.benchmarks.sweeps.tasks import identity, scenario_of
 from cellslam.benchmarks.sweeps.trajectories import Trajectory
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 MOST_WORST = 12
 MOST_FAILED = 100
-# Metrics of which more is better.
-RISING = ("association_precision", "association_recall", "realtime_factor")
 STEPS = 300
 # A stored error may differ by this much from the one in the world that is made again (stored in single precision).
 AGREES_M = 0.02
@@ -69,7 +67,7 @@ def worst_trials(data: SweepData, choice: Choice) -> list[Worst]:
             raise unknown_name("estimator", name, known)
     out: list[Worst] = []
     for name in choice.estimators or _best(data, choice.metric):
-        sign = -1.0 if choice.metric in RISING else 1.0
+        sign = -1.0 if METRIC[choice.metric].rising else 1.0
         found = [w for panel in data.panels for one in panel.series for w in _trials(panel, one, name, choice.metric)]
         found.sort(key=lambda worst: (-sign * worst.value, worst.trial))
         out += _distinct(found, choice.worst)
@@ -95,7 +93,7 @@ def _best(data: SweepData, metric: str) -> list[str]:
     medians = {name: float(np.median(v)) for name, v in values.items() if v}
     marked = {*oracles(medians), "dead-reckoning"}
     plain = {name: value for name, value in medians.items() if name not in marked} or medians
-    sign = -1.0 if metric in RISING else 1.0
+    sign = -1.0 if METRIC[metric].rising else 1.0
     return sorted(plain, key=lambda name: sign * plain[name])[:1]
 
 

@@ -17,7 +17,7 @@ from cellslam.sim.recording import Floats
 from cellslam.slam.model.calibration import Calibration
 
 STEP_DEG = 3.0
-MET = 0.99  # share of the variance that weights which were met have, at least: nearly all that reach a direction
+OBSERVED = 0.99  # share of the variance that weights which were met have, at least: nearly all that reach a direction
 
 
 @dataclass(frozen=True, repr=False)
@@ -38,7 +38,7 @@ def field_map(calibration: Calibration, provenance: Mapping[str, Any]) -> FieldM
     azimuth = np.radians(np.arange(-180.0, 180.0, STEP_DEG))
     elevation = np.radians(np.arange(-90.0, 90.0 + STEP_DEG, STEP_DEG))
     directions = np.stack([part.ravel() for part in np.meshgrid(azimuth, elevation)], axis=1)
-    unmet = calibration.met(directions) < MET
+    unmet = calibration.met(directions) < OBSERVED
 
     def shaped(values: Floats) -> Floats:
         return np.asarray(np.where(unmet[:, None], np.nan, values).reshape(len(elevation), len(azimuth), 3))

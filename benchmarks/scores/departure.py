@@ -1,4 +1,4 @@
-"""Whether an estimate is worth less than the odometry alone: by truth or reference, and where there is neither.
+"""Whether an estimate is worse than the odometry alone: by truth or reference, and where there is neither.
 
 An estimator may correct the odometry by as much as the data sheet leaves open, and as it was uncertain itself. One that
 goes on correcting by more follows something else: wrong associations, mirrored VTs, a data sheet that is not so.
@@ -19,7 +19,7 @@ from cellslam.sim.frames import integrate_pose, wrap_angle
 from cellslam.sim.recording import Floats, Recording
 
 WINDOW_S = 10.0
-TOO_FAR = 2.0  # root mean square from which a departure is said
+TOO_FAR = 2.0  # root mean square from which a departure is reported
 PLANAR = [0, 1, 3]  # x, y and yaw of a pose
 SMALLEST = 1e-12  # variance
 SAME_M = 1e-3  # positions that differ by no more were changed by nothing that was measured
@@ -73,7 +73,7 @@ def worse_than_odometry(
     """
     out, name = [], result.estimator
     if len(recording.time_s) > 1 and np.abs(result.poses - alone.poses)[:, :2].max() < SAME_M:
-        why = _without_say(recording, result)
+        why = _why_unchanged(recording, result)
         return [f"{name} is dead reckoning to the millimetre: the measurements changed nothing, since {why}"]
     own, other = (score(recording, each, None)["position_rmse_m"] for each in (result, alone))
     if own is not None and other is not None and own > other:
@@ -88,7 +88,7 @@ def worse_than_odometry(
     return out
 
 
-def _without_say(recording: Recording, result: TrialResult) -> str:
+def _why_unchanged(recording: Recording, result: TrialResult) -> str:
     """Return why the measurements of a drive changed nothing in an estimate, with the remedy."""
     m, model = recording.measurements, recording.odometry_model
     sheet = np.array([model.noise_density, model.bias, model.bias_walk_density, model.scale])[:, PLANAR]

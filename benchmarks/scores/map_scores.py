@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
 
 from cellslam.sim.recording import Floats, Ints, Recording, Truth
 from cellslam.slam.api import VtEstimate
@@ -21,12 +21,9 @@ CUTOFF_M = 20.0  # a pair farther apart is a truth missed and a false estimate
 DETECTIONS_OF_A_TRUE_VT = 20
 
 
-def gospa(truth_m: ArrayLike, estimate_m: ArrayLike) -> float:
+def gospa(truth_m: Floats, estimate_m: Floats) -> float:
     """Return the GOSPA in m between positions (n, d) and (k, d) in m, either possibly empty."""
-    truth, estimate = np.asarray(truth_m, np.float64), np.asarray(estimate_m, np.float64)
-    if not len(truth) or not len(estimate):
-        return gospa_of(np.zeros((len(truth), len(estimate))))[0]
-    return gospa_of(np.linalg.norm(truth[:, None, :] - estimate[None, :, :], axis=-1))[0]
+    return gospa_of(cdist(truth_m, estimate_m))[0]
 
 
 def gospa_of(distance_m: Floats) -> tuple[float, Ints]:

@@ -108,7 +108,8 @@ class Scored:
 class Metric:
     """A metric: its key in rows, unit, heading of a column, digits in tables, meaning, and how it is computed; None: of
     several rows, or measured while the estimator runs. `axis`: label in figures; those without one have none. `tables`
-    show it without being asked: `trial` and `trials` of `run`, `summary` of `table`, `suite`, `report`."""
+    show it without being asked: `trial` and `trials` of `run`, `summary` of `table`, `suite`, `report`. `rising`: more
+    is better."""
 
     key: str
     unit: str
@@ -118,6 +119,7 @@ class Metric:
     of: Callable[[Scored], float | None] | None = None
     axis: str = ""
     tables: str = ""
+    rising: bool = False
 
     @property
     def titled(self) -> str:
@@ -151,15 +153,15 @@ METRICS = (
     Metric("wall_gospa_m", "m", "walls", 2, "walls, of estimators that report walls: GOSPA of their visible parts",
            lambda s: s.walls.get("wall_gospa_m")),
     Metric("wall_share", "", "mapped", 2, "share of the seen facades' length that is mapped",
-           lambda s: s.walls.get("wall_share")),
+           lambda s: s.walls.get("wall_share"), rising=True),
     Metric("wall_normal_rmse_rad", "rad", "wall normals", 4, "error of the walls' directions, root mean square",
            lambda s: s.walls.get("wall_normal_rmse_rad")),
     Metric("wall_offset_rmse_m", "m", "wall offsets", 2, "by how much walls are off across them, root mean square",
            lambda s: s.walls.get("wall_offset_rmse_m")),
     Metric("association_precision", "", "precision", 2, "share of associations that are right",
-           lambda s: s.associated[0], tables="trial trials suite"),
+           lambda s: s.associated[0], tables="trial trials suite", rising=True),
     Metric("association_recall", "", "recall", 2, "share of measurements of a VT that were associated rightly",
-           lambda s: s.associated[1], tables="trial trials suite"),
+           lambda s: s.associated[1], tables="trial trials suite", rising=True),
     Metric("nees_mean", "", "NEES", 2,
            "mean normalised estimation error squared of the position: 2 where the claimed covariance is right; a "
            "reference that states no deviation is taken as exact, and the value is then an upper limit",
@@ -178,11 +180,11 @@ COSTS = (
     Metric("estimate_seconds", "s", "time a drive", 2, "time of the estimator's code", axis="time of the estimator",
            tables="suite"),
     Metric("realtime_factor", "time", "x real", 1, "duration of the drive over time of the estimator",
-           tables="trial trials summary suite report"),
+           tables="trial trials summary suite report", rising=True),
     Metric("peak_memory_mb", "MB", "memory", 1, "the most that the estimator made resident memory grow by",
            tables="suite report"),
 )  # fmt: skip
-# Of a group of rows.
+# Of a group of rows: `tables.summaries.estimate` takes them from `statistics.efficiency_ratio`.
 RATIOS = (
     Metric("efficiency_ratio", "", "efficiency ratio", 2,
            "root mean square of the RMSE over that of the bound, 1 at best", tables="trials summary suite report"),

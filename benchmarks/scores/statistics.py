@@ -157,6 +157,12 @@ def wilcoxon_p(difference: Floats) -> float:
     return float(wilcoxon(difference).pvalue) if np.any(difference != 0.0) else 1.0
 
 
+def plain(value: Any) -> Any:
+    """Return a value as JSON holds it: of numpy's scalars Python's, NaN and infinity as None."""
+    value = value.item() if hasattr(value, "item") else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def _rms(values: Floats, axis: int = -1) -> Any:
     return np.sqrt(np.mean(np.square(values), axis=axis))
 

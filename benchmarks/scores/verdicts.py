@@ -42,12 +42,12 @@ class Verdict:
 
     @property
     def differ(self) -> NDArray[np.bool_]:
-        """Which pairs (k, k) Wilcoxon's tests tell apart."""
+        """Which pairs (k, k) differ significantly by Wilcoxon's tests."""
         return np.asarray(self.p_value < LEVEL)
 
     @property
     def pairs(self) -> tuple[int, int]:
-        """How many pairs are told apart, and how many there are."""
+        """How many pairs differ significantly, and how many there are."""
         return int(self.differ.sum()) // 2, math.comb(len(self.names), 2)
 
     @property

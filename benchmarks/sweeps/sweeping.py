@@ -107,7 +107,7 @@ def keeping(
             jobs = {job.estimator: job for job in task.jobs}
             for outcome in trial.outcomes:
                 job = jobs[outcome.row["estimator"]]
-                store.write(result_of(task, job, trial, outcome), identity(task.world), identity(job.options))
+                store.write(result_of(task, job, trial.drive, outcome), identity(task.world), identity(job.options))
 
         yield keep
 

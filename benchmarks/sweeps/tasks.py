@@ -20,7 +20,7 @@ from cellslam.slam import registry
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.trials.external_processes import ExternalProcesses
-    from cellslam.benchmarks.trials.trials import Drive, Outcome, Trial
+    from cellslam.benchmarks.trials.trials import Drive, Outcome
     from cellslam.scenarios.known_worlds.known_world import Entry, KnownWorld
     from cellslam.scenarios.scenario import Scenario
     from cellslam.sim.recording import Recording
@@ -213,7 +213,7 @@ def work(task: Task, external: ExternalProcesses) -> Iterator[Began | Result | L
             yield result_of(task, job, drive, outcome)
 
 
-def result_of(task: Task, job: Job, drive: Drive | Trial, outcome: Outcome) -> Result:
+def result_of(task: Task, job: Job, drive: Drive, outcome: Outcome) -> Result:
     """Return what is stored of a job's outcome: its trajectory too, and a note where there is no bound."""
     from cellslam.benchmarks.sweeps.trajectories import pack, trajectory
 

@@ -1,4 +1,4 @@
-"""Whether estimators know how wrong they are: claimed covariances against the errors, over the trials of a sweep.
+"""Whether estimators know how wrong they are: their covariances against the errors, over the trials of a sweep.
 
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation" (2001), section 5.4:
 over N trials the mean of a consistent filter's normalised error squared (NEES) is chi-square over N.
@@ -16,19 +16,18 @@ from scipy.stats import binomtest, chi2
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import trajectory_of
 from cellslam.benchmarks.sweeps.trajectories import Trajectory
-from cellslam.benchmarks.tables.summaries import Layout, groups, row_keys
+from cellslam.benchmarks.tables.summaries import CONFIDENCE, Layout, groups, row_keys
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Ints
 
 if TYPE_CHECKING:
     import pandas as pd
 
-SHARE = 0.95  # of the intervals, and of a VT's ellipsoid
 SIGMAS = 2.0  # of the clocks' band
 
 
 def consistency(folder: str | Path, times: int = 10, rows: Sequence[str] | None = None) -> pd.DataFrame:
-    """Return how honest the claimed covariances of a sweep's trials are, by group, at `times` moments up to the end.
+    """Return how consistent covariances are with errors, by group of a sweep's trials, at `times` moments.
 
     Where drives of a group differ in length, a moment is the same share of each. Columns: the row keys, `time_s` (the
     median), `trials`; `nees` of the horizontal position, mean over trials (2 is right), with
@@ -55,8 +54,8 @@ def consistency(folder: str | Path, times: int = 10, rows: Sequence[str] | None 
 
 def nees_band(trials: int) -> tuple[float, float]:
     """Return the interval that has 95 % of the means of so many consistent trials."""
-    tails = ((1.0 - SHARE) / 2.0, (1.0 + SHARE) / 2.0)
-    return float(chi2.ppf(tails[0], 2 * trials) / trials), float(chi2.ppf(tails[1], 2 * trials) / trials)
+    low, high = chi2.interval(CONFIDENCE, 2 * trials)
+    return float(low / trials), float(high / trials)
 
 
 def _over_time(drives: Iterable[Trajectory], times: int) -> Iterator[dict[str, Any]]:
@@ -76,7 +75,7 @@ def _over_time(drives: Iterable[Trajectory], times: int) -> Iterator[dict[str, A
         ratio = np.concatenate([own[number] for own in ratios])
         clock = _share("clock", ratio[~np.isnan(ratio)] <= SIGMAS)  # a clock that was known has no ratio
         last = number == times - 1
-        vt = _share("vt", np.concatenate(vts) <= chi2.ppf(SHARE, 3) if last else np.zeros(0, bool))
+        vt = _share("vt", np.concatenate(vts) <= chi2.ppf(CONFIDENCE, 3) if last else np.zeros(0, bool))
         time_s = float(np.median([own[number] for own in moments]))
         yield {"time_s": time_s, "trials": len(nees), "nees": mean, "nees_low": low, "nees_high": high, **clock, **vt}
 
@@ -93,6 +92,6 @@ def _share(name: str, inside: Any) -> dict[str, Any]:
     count = len(inside)
     numbers: tuple[float | None, ...] = (None, None, None)
     if count:
-        found = binomtest(int(inside.sum()), count).proportion_ci(SHARE, method="wilson")
+        found = binomtest(int(inside.sum()), count).proportion_ci(CONFIDENCE, method="wilson")
         numbers = (float(inside.mean()), float(found.low), float(found.high))
     return dict(zip((f"{name}_share", f"{name}_low", f"{name}_high", f"{name}s"), (*numbers, count), strict=True))

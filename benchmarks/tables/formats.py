@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.scores.metrics import METRIC, shown_in
-from cellslam.benchmarks.tables.summaries import BOUNDED, CONFIDENCE, RATIOS, estimate, plain
+from cellslam.benchmarks.scores.statistics import plain
+from cellslam.benchmarks.tables.summaries import BOUNDED, CONFIDENCE, RATIOS, estimate
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -130,14 +131,14 @@ def summary_grid(tidy: pd.DataFrame, keys: Sequence[str], columns: str | None, o
 
 
 def consistency_grid(tidy: pd.DataFrame, keys: Sequence[str], oracles: frozenset[str]) -> Grid:
-    """Return the grid of how honest claimed covariances are, a line for each moment."""
+    """Return the grid of how consistent covariances are with the errors, a line for each moment."""
     lines = []
     for line in tidy.to_dict("records"):
         row = (_label(key, line[key], oracles) for key in keys)
         band = f"{number(line['nees_low'])} to {number(line['nees_high'])}"
         shares = (_percent(line, "clock"), _percent(line, "vt"))
         lines.append((*row, f"{line['time_s']:.0f}", number(line["nees"]), band, *shares, str(line["trials"])))
-    headings = ("time (s)", "NEES", "95 % if honest", "clocks in 2 sigma", "VTs in 95 %", "trials")
+    headings = ("time (s)", "NEES", "95 % if consistent", "clocks in 2 sigma", "VTs in 95 %", "trials")
     notes = ("NEES: of the horizontal position, mean over trials; shares with 95 % intervals; VTs: those at the end",)
     return Grid((*keys, *headings), tuple(lines), len(keys), notes)
 
@@ -183,7 +184,7 @@ def _heading(key: str, value: Any, columns: str | None, oracles: frozenset[str])
 
 
 def _label(key: str, value: Any, oracles: frozenset[str]) -> str:
-    if value is None or (isinstance(value, float) and math.isnan(value)):
+    if _missing(value):
         return "-"
     text = f"{value:g}" if isinstance(value, float) else str(value)
     return f"{text} (oracle)" if key == "estimator" and text in oracles else text

@@ -51,7 +51,7 @@ def map_builders(panels: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
 
 
 def verdict_table(one: Verdict) -> str:
-    """Return a verdict as a Markdown table: mean ranks, and median differences, bold where a pair is told apart."""
+    """Return a verdict as a Markdown table: mean ranks, and median differences, bold where they are significant."""
     lines = []
     for i, name in enumerate(one.names):
         texts = [number(value, METRIC) for value in one.difference[i].tolist()]
@@ -60,8 +60,8 @@ def verdict_table(one: Verdict) -> str:
     return markdown(Grid(("estimator", "mean rank", *one.names), tuple(lines), 1)).rstrip()
 
 
-def told_apart(one: Verdict) -> str:
-    """Return how many pairs a verdict tells apart, as in `12 of 15 pairs (80 %)`."""
+def significant_pairs(one: Verdict) -> str:
+    """Return how many pairs of a verdict differ significantly, as in `12 of 15 pairs (80 %)`."""
     apart, pairs = one.pairs
     return f"{apart} of {pairs} pairs ({100 * apart / pairs:.0f} %)"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import platform
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
+from cellslam.benchmarks.scores.statistics import plain
 from cellslam.benchmarks.sweeps.rows import provenance, results
 from cellslam.scenarios.suites import Suite, digest, suite
 from cellslam.sim.data_files import json_of, text_of
@@ -62,17 +62,11 @@ def as_text(some: SuiteRows) -> str:
         raise InputError(f"rows of a part of {some.suite.name} are no entry: leave out --trials and --scenario")
     head = {"suite": some.suite.name, "digest": digest(some.suite), "machine": some.machine, "versions": some.versions}
     head["oracles"] = sorted(some.oracles)
-    rows = ([_plain(value) for value in row] for row in some.rows[list(COLUMNS)].astype(object).to_numpy().tolist())
-    lines = ",\n".join(json.dumps(row, allow_nan=False) for row in rows)
+    rows = some.rows[list(COLUMNS)].astype(object).to_numpy().tolist()
+    six_digits = ([float(f"{v:.6g}") if isinstance(v, float) else v for v in row] for row in rows)
+    lines = ",\n".join(json.dumps(list(map(plain, row)), allow_nan=False) for row in six_digits)
     about = json.dumps({**head, "columns": COLUMNS}, indent=1)[:-2]
     return f'{about},\n "rows": [\n{lines}\n]\n}}\n'
-
-
-def _plain(value: Any) -> Any:
-    """Return a value as JSON holds it: numbers with six digits."""
-    if isinstance(value, float):
-        return float(f"{value:.6g}") if math.isfinite(value) else None
-    return value
 
 
 def read(path: Path) -> SuiteRows:
@@ -82,7 +76,7 @@ def read(path: Path) -> SuiteRows:
     try:
         table: Any = json_of(text_of(path))
         frame = pd.DataFrame(table["rows"], columns=table["columns"]).reindex(columns=list(COLUMNS))
-        one, said = suite(str(table["suite"])), str(table["digest"])
+        one, stated = suite(str(table["suite"])), str(table["digest"])
         made, machine, marked = dict(table["versions"]), str(table["machine"]), frozenset(table["oracles"])
         found = SuiteRows(one, one.scenarios, one.trials, made, machine, marked, frame)
         estimators = frame["estimator"].unique()
@@ -93,8 +87,8 @@ def read(path: Path) -> SuiteRows:
         if isinstance(error, InputError):
             raise InputError(f"{path}: {error}") from error
         raise InputError(f"{path}: not rows of a suite, as 'cellslam bench accuracy --rows' writes them") from error
-    if said != digest(one):
-        raise InputError(f"{path}: made with another {one.name} (digest {said[:12]}, here {digest(one)[:12]})")
+    if stated != digest(one):
+        raise InputError(f"{path}: made with another {one.name} (digest {stated[:12]}, here {digest(one)[:12]})")
     every = sorted((e, s, t) for e in estimators for s in one.scenarios for t in range(one.trials_of(s)))
     if drives != every or set(frame["seed"]) != {one.seed}:
         raise InputError(f"{path}: not every drive of {one.name} once for each estimator")

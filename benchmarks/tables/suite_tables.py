@@ -12,7 +12,7 @@ from cellslam.benchmarks.scores.metrics import COST_KEYS
 from cellslam.benchmarks.scores.statistics import efficiency_ratio
 from cellslam.benchmarks.scores.verdicts import Verdict
 from cellslam.benchmarks.tables.formats import Column, Grid, bracketed, cell, columns_of, markdown, number
-from cellslam.benchmarks.tables.rankings import ALL, map_builders, told_apart, verdict_table, verdicts
+from cellslam.benchmarks.tables.rankings import ALL, map_builders, significant_pairs, verdict_table, verdicts
 from cellslam.benchmarks.tables.suite_rows import SuiteRows
 from cellslam.benchmarks.tables.summaries import BOUNDED, CONFIDENCE, EFFICIENCY, MERGED, RATIO_OF, RATIOS
 from cellslam.scenarios.suites import Suite, superseded_by
@@ -25,7 +25,7 @@ COSTS = [column for column in COLUMNS if column.metric in COST_KEYS]
 RULES = """\
 Position errors are horizontal, absolute, not aligned. Efficiency ratio: root mean square of the RMSE over that of the
 bound, 1 at best, its 95 % interval by resampling trials; merging counted in: over that of the bound with merging as
-an error that persists. Memory: what resident memory grew by at the most. A pair is told apart where Wilcoxon's
+an error that persists. Memory: what resident memory grew by at the most. A pair differs where Wilcoxon's
 signed-rank test, corrected for all pairs by Holm's method, says so at 5 %. Ranks are over trials, 1 the best; by
 Nemenyi's test those that differ by less than the critical difference may be equal. Over all scenarios a trial counts
 once, with the geometric mean of its RMSEs, as its random draws are common to all of them. A drive that failed is worse
@@ -130,14 +130,15 @@ def _marked(estimator: str, oracles: Collection[str]) -> str:
 
 
 def _judged(one: Verdict | None, power: Verdict | None) -> list[str]:
-    """Return a verdict in words and as a table, and the power: what is told apart of the built-in map builders."""
+    """Return a verdict in words and as a table, and its power: how many pairs of the built-in map builders differ."""
     if one is None:
         return []
     equal = "" if np.isnan(one.friedman_p) else f"; all equally good: p = {one.friedman_p:.2g} (Friedman)"
-    summary = f"Told apart: {told_apart(one)}. Critical difference of mean ranks: {one.critical_difference:.2f}{equal}."
+    summary = f"Significant differences: {significant_pairs(one)}. "
+    summary += f"Critical difference of mean ranks: {one.critical_difference:.2f}{equal}."
     if power is not None:
-        summary += f" Power: of the built-in map builders, tested by themselves, {told_apart(power)}."
-    note = "Median difference of the RMSE on the same drives in m, row minus column; bold: told apart.\n"
+        summary += f" Power: of the built-in map builders, tested by themselves, {significant_pairs(power)}."
+    note = "Median difference of the RMSE on the same drives in m, row minus column; bold: significant.\n"
     return [f"\n{_filled(summary)}", note, verdict_table(one)]
 
 

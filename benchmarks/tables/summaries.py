@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.scores.metrics import METRIC, shown_in
-from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, paired, statistic
+from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, paired, plain, statistic
 from cellslam.benchmarks.sweeps.rows import results, varying_keys
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.recording import Floats
@@ -52,7 +52,7 @@ def summary(folder: str | Path, layout: Layout | None = None) -> pd.DataFrame:
         statistic(name)
     check_confidence(layout.confidence)
     keys = list(dict.fromkeys([*row_keys(folder, layout), *([layout.columns] if layout.columns else [])]))
-    frame = results(folder, list(dict.fromkeys([*keys, "status", *columns_of(metrics), *_DRIVE, *RATIO_OF])))
+    frame = results(folder, list(dict.fromkeys([*keys, "status", *keys_of(metrics), *_DRIVE, *RATIO_OF])))
     if "estimator" in keys and BOUNDED in metrics:
         frame = _with_bounds(frame, keys)
     wanted = [(metric, name) for metric in metrics for name in ([""] if metric in RATIOS else layout.statistics)]
@@ -63,7 +63,7 @@ def summary(folder: str | Path, layout: Layout | None = None) -> pd.DataFrame:
             value, low, high = estimate(fine, metric, name, layout.confidence)
             line = {**values, "metric": metric, "statistic": name, "value": value}
             line |= {} if layout.confidence is None else {"low": low, "high": high}
-            known = fine[list(columns_of([metric])[:2])].notna().all(axis=1).sum()
+            known = fine[keys_of([metric])[:2]].notna().all(axis=1).sum()
             lines.append({**line, "values": int(known), "trials": len(fine), "failed": len(group) - len(fine)})
     return pd.DataFrame(lines)
 
@@ -110,7 +110,7 @@ def comparison(
     return pd.DataFrame(lines)
 
 
-def columns_of(metrics: Sequence[str]) -> list[str]:
+def keys_of(metrics: Sequence[str]) -> list[str]:
     """Return the row keys that metrics are made of."""
     return [key for metric in metrics for key in (RATIO_OF if metric in RATIOS else (metric,))]
 
@@ -187,9 +187,3 @@ def finite(column: Any) -> Floats:
     """Return the values (n,) of a column that are there."""
     values = np.asarray(column, np.float64)
     return values[np.isfinite(values)]
-
-
-def plain(value: Any) -> Any:
-    """Return a value as JSON holds it: what is not finite as None."""
-    value = value.item() if hasattr(value, "item") else value
-    return None if isinstance(value, float) and not np.isfinite(value) else value

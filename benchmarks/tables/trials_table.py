@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from rich.table import Table
 
-    from cellslam.benchmarks.trials.trials import Trial
+    from cellslam.benchmarks.bound.cramer_rao import BoundResult
 
 LONGEST_NAME = len("oracle-association")
 LOST_M = 2.0
@@ -31,20 +31,18 @@ _LEGEND = (
 )
 
 
-def bound_row(trial: Trial) -> dict[str, Any]:
-    """Return the bound of a trial in the columns of the table; empty without a bound."""
-    if trial.bound is None:
-        return {}
-    std = trial.bound.horizontal_std_m
+def bound_row(bound: BoundResult) -> dict[str, Any]:
+    """Return the bound of a drive in the columns of the table."""
+    std = bound.horizontal_std_m
     return {
         "estimator": BOUND,
         "status": "ok",
-        "position_rmse_m": trial.bound.position_rmse_m,
-        "bound_position_rmse_m": trial.bound.position_rmse_m,
-        "bound_merged_m": trial.bound.merged_m,
+        "position_rmse_m": bound.position_rmse_m,
+        "bound_position_rmse_m": bound.position_rmse_m,
+        "bound_merged_m": bound.merged_m,
         "position_max_m": float(std.max()),
         "position_end_m": float(std[-1]),
-        "clock_offset_rmse_m": float(np.sqrt(np.mean(trial.bound.clock_offset_std_m[-1] ** 2))),
+        "clock_offset_rmse_m": float(np.sqrt(np.mean(bound.clock_offset_std_m[-1] ** 2))),
     }
 
 

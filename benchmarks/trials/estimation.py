@@ -139,9 +139,9 @@ def answers(setup: Setup, steps: Iterable[Step], request: Request, rng: np.rando
     calibration = getattr(estimator, "calibration", None)
     columns |= plain_calibration(calibration()) if callable(calibration) else {}
     remarks = getattr(estimator, "remarks", None)
-    said = plain_remarks(remarks()) if callable(remarks) else ()
+    lines = plain_remarks(remarks()) if callable(remarks) else ()
     left = estimator.vt_map() if callable(getattr(estimator, "vt_map", None)) else None
-    yield Answer(seconds, columns, said, memory.grown_mb(before), left)
+    yield Answer(seconds, columns, lines, memory.grown_mb(before), left)
 
 
 def collected(

@@ -34,13 +34,13 @@ def explained(error: BaseException) -> str:
     known = isinstance(error, BadAnswerError)
     line = text if known else f"{type(error).__name__}: {text}".removesuffix(": ")
     notes = getattr(error, "__notes__", None)
-    said = "".join(f", {one_line(note)}" for note in notes[-MOST_NOTES:]) if isinstance(notes, list) else ""
-    return line + said + ("" if known else own_traceback(error))
+    added = "".join(f", {one_line(note)}" for note in notes[-MOST_NOTES:]) if isinstance(notes, list) else ""
+    return line + added + ("" if known else own_traceback(error))
 
 
 def details(error: BaseException) -> str:
     """Return the traceback of an error as text that any file holds; of a long one the beginning and the end."""
-    said = error.details if isinstance(error, ExternalError) else "".join(traceback.format_exception(error))
-    text = said.encode("utf-8", "backslashreplace").decode()
+    whole = error.details if isinstance(error, ExternalError) else "".join(traceback.format_exception(error))
+    text = whole.encode("utf-8", "backslashreplace").decode()
     half = MOST_DETAILS // 2
     return text if len(text) <= MOST_DETAILS else f"{text[:half]}\n...\n{text[-half:]}"

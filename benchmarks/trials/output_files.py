@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,9 +39,19 @@ def file_name(estimator: str) -> str:
     return re.sub(r"[^\w.-]", "_", estimator)
 
 
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Raise InputError where the disk refuses what is written to `path` in this context."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); give another path") from error
+
+
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, all or nothing, whatever the text. Raises OSError."""
-    write_durably(path, text.encode("utf-8", "backslashreplace"))
+    """Write a text file, all or nothing, whatever the text. Raises InputError."""
+    with writing(path):
+        write_durably(path, text.encode("utf-8", "backslashreplace"))
 
 
 def write_tum(path: str | Path, time_s: Floats, poses: Floats) -> None:

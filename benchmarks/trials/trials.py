@@ -11,7 +11,6 @@ defined in `__main__`, as in a notebook, since no other process has it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -20,6 +19,7 @@ import numpy as np
 
 from cellslam.benchmarks.scores import metrics
 from cellslam.benchmarks.scores.alignment import aligned
+from cellslam.benchmarks.scores.statistics import plain
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.earlier_drives import Before
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
@@ -72,13 +72,11 @@ class Drive(Described):
 
 @dataclass(frozen=True, repr=False)
 class Trial(Described):
-    """One trial of all estimators; recording and bound are None where its world could not be made."""
+    """One trial of all estimators."""
 
     number: int
-    recording: Recording | None
-    bound: BoundResult | None
+    drive: Drive
     outcomes: tuple[Outcome, ...]
-    unbound: str = ""
 
 
 def check_counts(trials: int, seed: int) -> None:
@@ -110,7 +108,7 @@ def simulated_trials(
         drive, outcomes = score_trial(make, scenario.name, requests, number, seed, external, progress, before=before)
         if number == 0 and isinstance(drive.problem, InputError):
             raise drive.problem
-        yield Trial(number, drive.recording, drive.bound, tuple(outcomes), drive.unbound)
+        yield Trial(number, drive, tuple(outcomes))
 
 
 def score_trial(
@@ -146,7 +144,7 @@ def score_recording(
 ) -> Trial:
     """Return the trial of all requests on a recording; arguments as of `score_trial`."""
     drive, outcomes = score_trial(lambda: recording, scenario, requests, trial, seed, **more)
-    return Trial(trial, drive.recording, drive.bound, tuple(outcomes), drive.unbound)
+    return Trial(trial, drive, tuple(outcomes))
 
 
 def failed_row(scenario: str, estimator: str, trial: int, seed: int, error: str) -> Row:
@@ -202,7 +200,7 @@ def outcome_of(
         "peak_memory_mb": result.peak_memory_mb,
     }
     row |= {"status": "ok", "error": None, **scores, **cost}
-    return Outcome({key: _plain(value) for key, value in row.items()}, result)
+    return Outcome({key: plain(value) for key, value in row.items()}, result)
 
 
 def _estimate(
@@ -219,9 +217,3 @@ def _estimate(
         return external.estimate(recording, request, rng, progress, known)
     warm_up(request, progress)
     return estimate(recording, request, rng, progress, known)
-
-
-def _plain(value: Any) -> Any:
-    """Return a value that JSON holds: numpy scalars as Python's, NaN and infinity as None."""
-    value = value.item() if hasattr(value, "item") else value
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -98,7 +98,7 @@ def save(arguments: Namespace, requests: Sequence[Request], trial: Trial) -> lis
         given = [o.result for o in trial.outcomes if o.result is not None and getattr(o.result, field) is not None]
         if file is None:
             continue
-        if len(given) != 1 or trial.recording is None:
+        if len(given) != 1 or trial.drive.recording is None:
             problems.append(f"{option} {file}: not written, {why}")
             continue
         (result,) = given
@@ -106,7 +106,7 @@ def save(arguments: Namespace, requests: Sequence[Request], trial: Trial) -> lis
         provenance = {
             "estimator": result.estimator,
             "options": {} if options is None else options.model_dump(mode="json"),
-            "recording": dict(trial.recording.provenance),
+            "recording": dict(trial.drive.recording.provenance),
         }
         began_with = {"began_with": arguments.map} if field == "vt_map" else {}
         replace(getattr(result, field), provenance=provenance | began_with).save(file)

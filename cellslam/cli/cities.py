@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cellslam.scenarios.keys import validate
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.sim.city import City, MeshCityConfig, build_city
 from cellslam.sim.errors import InputError
@@ -49,14 +50,7 @@ def find_city(name: str, **options: Any) -> City:
             raise InputError(f"{', '.join(given)}: options of meshes; '{name}' is a scenario, which says it all")
         scenario = load(name)
         return build_city(scenario.city, city_rng(scenario.world, 0, 0))
-    from pydantic import ValidationError
-
-    try:
-        config = MeshCityConfig.model_validate({"path": name, **given})
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise InputError(f"{'.'.join(map(str, first['loc']))} = {first['input']}: {first['msg']}") from None
-    return build_city(config, np.random.default_rng(0))
+    return build_city(validate(MeshCityConfig, {"path": name, **given}), np.random.default_rng(0))
 
 
 def take_positions(parser: ArgumentParser) -> None:
@@ -64,8 +58,8 @@ def take_positions(parser: ArgumentParser) -> None:
     parser._negative_number_matcher = re.compile(r"-\.?\d")
 
 
-def parse_positions(texts: list[str], option: str) -> Floats:
-    """Return positions (S, 3) in m written as X,Y,Z. Raises InputError."""
+def parse_positions(texts: list[str]) -> Floats:
+    """Return positions (S, 3) in m, which --bs gives as X,Y,Z. Raises InputError."""
     rows = []
     for text in texts:
         try:
@@ -73,7 +67,7 @@ def parse_positions(texts: list[str], option: str) -> Floats:
         except ValueError:
             row = []
         if len(row) != 3 or not np.isfinite(row).all():
-            raise InputError(f"{option} '{text}': write X,Y,Z in metres, as in {option}=12.5,-40,25")
+            raise InputError(f"--bs '{text}': write X,Y,Z in metres, as in --bs=12.5,-40,25")
         rows.append(row)
     return np.array(rows, np.float64)
 

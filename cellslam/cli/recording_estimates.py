@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from argparse import Namespace
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -18,11 +17,11 @@ from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.cli.progress_bars import bars
 from cellslam.recordings.fitting.assumptions import Assumptions, assumed
+from cellslam.recordings.importing.manifest import tables_of
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.external_options import LOAD_LIMIT_S
 from cellslam.scenarios.overrides import parse_all
 from cellslam.scenarios.recording_origin import TECHNOLOGY, Origin
-from cellslam.sim.data_files import text_of, toml_of
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Recording
@@ -80,7 +79,7 @@ def estimates_by(
     return recording, results, given.fitted
 
 
-def doubts(recording: Recording, results: Sequence[TrialResult], fitted: bool) -> dict[str, list[str]]:
+def warnings_by(recording: Recording, results: Sequence[TrialResult], fitted: bool) -> dict[str, list[str]]:
     """Return by estimator what speaks against its estimate (`worse_than_odometry`).
 
     `recording` has the data sheet that estimators assume, which was to be learnt if `fitted`.
@@ -92,12 +91,7 @@ def doubts(recording: Recording, results: Sequence[TrialResult], fitted: bool) -
 
 def _options_of(path: Path) -> Iterator[tuple[str, Any]]:
     """Yield the keys of a file of options with their values, as "estimator.NAME.option". Raises InputError."""
-    try:
-        tables = toml_of(text_of(path))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"--options {path}: not TOML ({error}); correct it there") from error
-    except OSError as error:
-        raise InputError(f"--options {path}: cannot be read ({error.strerror})") from error
+    tables = tables_of(path)
     for name, table in tables.items():
         if name not in TABLES or not isinstance(table, Mapping):
             raise InputError(f"--options {path}: has '{name}'; it takes tables [estimator.NAME] and [noise.COMPONENT]")

@@ -7,17 +7,15 @@ import shlex
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.tables.trials_table import bound_row, results_table
-from cellslam.benchmarks.trials.output_files import file_name, write_text, write_tum
+from cellslam.benchmarks.trials.output_files import file_name, write_text, write_tum, writing
 from cellslam.cli.arguments import DONE, FAILED, INTERRUPTED
 from cellslam.cli.between_drives import save
 from cellslam.cli.output import console, note
-from cellslam.sim.errors import InputError
 from cellslam.slam import registry
 
 if TYPE_CHECKING:
@@ -97,16 +95,16 @@ class Results:
 
     def write(self, name: str, text: str) -> None:
         """Write a text file into the folder."""
-        with _writing(self.folder):
+        with writing(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_text(self.folder / name, text)
+        write_text(self.folder / name, text)
 
     def _add(self, trial: Trial) -> None:
         if self.first is None:
             self._clear()
         self.rows.extend(outcome.row for outcome in trial.outcomes)
-        self.bounds.extend([row] if (row := bound_row(trial)) else [])
-        self.note(f"without the bound: {trial.unbound}" if trial.unbound else "")
+        self.bounds.extend([] if trial.drive.bound is None else [bound_row(trial.drive.bound)])
+        self.note(f"without the bound: {trial.drive.unbound}" if trial.drive.unbound else "")
         self._write_trial(trial)
         if self.first is None:
             self.first, self.keep = trial, self.open_store()
@@ -127,7 +125,7 @@ class Results:
 
     def _clear(self) -> None:
         """Remove the files that an earlier run left here, which would stand beside another summary; its rows stay."""
-        with _writing(self.folder):
+        with writing(self.folder):
             if (self.folder / SUMMARY).exists():
                 for pattern in OF_TRIALS:
                     for file in self.folder.glob(pattern):
@@ -135,8 +133,8 @@ class Results:
 
     def _write_trial(self, trial: Trial) -> None:
         """Write trajectories (TUM), the truth's too, and the traceback of each estimator that failed."""
-        recording, suffix = trial.recording, f"-{trial.number}" if self.trials > 1 else ""
-        with _writing(self.folder):
+        recording, suffix = trial.drive.recording, f"-{trial.number}" if self.trials > 1 else ""
+        with writing(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
             if recording is not None and recording.truth is not None:
                 write_tum(self.folder / f"trajectory-truth{suffix}.tum", recording.time_s, recording.truth.poses)
@@ -148,7 +146,8 @@ class Results:
                     write_text(self.folder / f"error-{name}.txt", outcome.traceback)
 
     def _write_summary(self) -> None:
-        provenance = self.first.recording.provenance if self.first and self.first.recording else {}
+        recording = self.first.drive.recording if self.first else None
+        provenance = {} if recording is None else recording.provenance
         about = {
             "command": self.command,
             "scenario": self.name,
@@ -164,10 +163,10 @@ class Results:
 
         world = self._world_of(trial)
         results = {o.row["estimator"]: o.result for o in trial.outcomes if o.result is not None}
-        if trial.recording is not None and results:
+        if trial.drive.recording is not None and results:
             city = world.scene.city if world else None
-            with _writing(self.folder):
-                draw_all(city, trial.recording, results, trial.bound, self.folder, progress)
+            with writing(self.folder):
+                draw_all(city, trial.drive.recording, results, trial.drive.bound, self.folder, progress)
         if world is not None and getattr(self.arguments, "rays", False):
             from cellslam.benchmarks.report.city_page import draw_rays
 
@@ -175,11 +174,11 @@ class Results:
 
     def _world_of(self, trial: Trial) -> World | None:
         """Return the world of a trial, for the maps; None for a recording without scenario."""
-        if self.scenario is None or trial.recording is None:
+        if self.scenario is None or trial.drive.recording is None:
             return None
         from cellslam.sim.world import prepare
 
-        return prepare(self.scenario.world, int(trial.recording.provenance.get("seed", 0)), trial.number)
+        return prepare(self.scenario.world, int(trial.drive.recording.provenance.get("seed", 0)), trial.number)
 
     def _title(self) -> str:
         row = next((row for row in self.rows if row["snapshots"] is not None), None)
@@ -198,11 +197,3 @@ def left_out(arguments: Namespace) -> str:
         return ""
     names = registry.left_out().items()
     return "\n".join(f"left out of all: {name} ({why})" for name, why in names if name not in arguments.estimators)
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"{path}: results cannot be written ({error.strerror or error})") from error

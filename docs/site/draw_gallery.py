@@ -109,7 +109,7 @@ GALLERY = {
     "comparison": Picture(
         "clutter/figures/ranks.png",
         "A comparison",
-        "Mean ranks over trials; a bar joins those that are not told apart.",
+        "Mean ranks over trials; a bar joins those that do not differ significantly.",
         _SWEEP,
     ),
     "bound": Picture(

@@ -148,13 +148,13 @@ class PhdSlam:
         component = np.minimum(sites.clock_offset_std_m, o.offset_component_std_m)
         between = np.sqrt(sites.clock_offset_std_m**2 - component**2)
         offset = sites.clock_offset_mean_m + between * ndtri(quasi_random(n, len(sites), self._rng))
-        room = _room(n, max(CAPACITY, 2 * len(self._site_of)))
-        _put_anchors(room, self._fusion.setup)
+        empty = _empty_map(n, max(CAPACITY, 2 * len(self._site_of)))
+        _put_anchors(empty, self._fusion.setup)
         error_variance = np.stack([model.bias**2, np.zeros(6), model.scale**2], axis=1)
         return Particles(
             pose=setup.start_pose + setup.start_std * self._rng.standard_normal((n, 6)),
             error=np.zeros((n, 6, 2)), error_variance=np.tile(error_variance, (n, 1, 1)), offset=offset,
-            variance=np.tile(component**2, (n, 1)), log_weight=np.zeros((n, 1)), **room._asdict(),
+            variance=np.tile(component**2, (n, 1)), log_weight=np.zeros((n, 1)), **empty._asdict(),
         )  # fmt: skip
 
     def _draws(self) -> Floats:
@@ -225,23 +225,23 @@ class PhdSlam:
         """Double the room for Gaussians where a map is half full."""
         p, (n, capacity) = self._particles, self._particles.names.shape[:2]
         if 2 * p.size.max() > capacity and capacity < self._options.components:
-            new = _room(n, min(2 * capacity, self._options.components))
+            new = _empty_map(n, min(2 * capacity, self._options.components))
             new.rows[:, :capacity], new.names[:, :capacity], new.size[:] = p.rows, p.names, p.size
             self._particles = p._replace(rows=new.rows, names=new.names, size=new.size)
 
 
-def _put_anchors(room: Map, setup: Setup) -> None:
+def _put_anchors(empty: Map, setup: Setup) -> None:
     """Begin every map with the transmitters that are known before the drive."""
     known, position_m, std_m = setup.surveyed
-    rows, names = room.rows[:, : len(known)], room.names[:, : len(known)]
+    rows, names = empty.rows[:, : len(known)], empty.names[:, : len(known)]
     rows[:, :, columns.MEAN : columns.COVARIANCE] = position_m
     rows[:, :, columns.COVARIANCE + np.diag(TRIANGLE)] = std_m**2 + ANCHOR_STD_M**2
     rows[:, :, columns.VISIBLE], rows[:, :, columns.HITS] = 1.0, SURVEYED
     names[:, :, LINK] = names[:, :, NAME] = known
-    room.size[:] = len(known)
+    empty.size[:] = len(known)
 
 
-def _room(particles: int, capacity: int) -> Map:
+def _empty_map(particles: int, capacity: int) -> Map:
     """Return empty maps."""
     shape = particles, capacity
     return Map(

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from cellslam.cli.long_requests import note_long
+from cellslam.cli.output import note_long
 from cellslam.scenarios import load
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cellslam.recordings import Campaign, OdometryTable, ReferenceTable, build
-from cellslam.recordings.fitting.fit_noise import first_guess, fit
+from cellslam.recordings.fitting.fit_noise import fit, initial_options
 from cellslam.recordings.fitting.fit_sizes import BURSTS, Learnt, learn, toml
 from cellslam.recordings.fitting.fit_tracks import tracks_of
 from cellslam.scenarios.estimator_options import resolve
@@ -164,7 +164,7 @@ def test_simulated_cellular_noise_at_unit_snr() -> None:
     """The statistical front end's thermal part is 0.0405 m at 0 dB; its other errors are not white and are kept
     apart.
     """
-    found = first_guess(Recording.load(str(files("cellslam.slam.conformance").joinpath("conformance_drive.h5"))))
+    found = initial_options(Recording.load(str(files("cellslam.slam.conformance").joinpath("conformance_drive.h5"))))
     assert found["noise_unit_snr_m"] == pytest.approx(0.0405, rel=0.25)
     assert found["calibration_m"] > found["noise_floor_m"]
     assert 0.7 < found["detection_probability"] < 0.95

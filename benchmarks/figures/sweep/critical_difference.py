@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
     from cellslam.benchmarks.scores.verdicts import Verdict
 
-LINE_IN, LABEL_IN, LETTER_IN = 0.19, 0.16, 0.062  # height of a label, room beside it, width of a letter
-ABOVE, GAP, BAR = 2.4, 0.7, 0.42  # in lines: room above the scale, below it, and from one bar to the next
+LINE_IN, LABEL_IN, LETTER_IN = 0.19, 0.16, 0.062  # height of a label, margin beside it, width of a letter
+ABOVE, GAP, BAR = 2.4, 0.7, 0.42  # in lines: margin above the scale, below it, and from one bar to the next
 BEYOND = 0.012  # of the scale, which a bar reaches beyond the ranks that it joins
 
 
@@ -46,13 +46,13 @@ def _lines(one: Verdict) -> float:
     return GAP + BAR * len(one.groups) + (len(one.names) + 1) // 2
 
 
-def _draw(axes: Axes, one: Verdict, width_in: float, room_in: float) -> None:
+def _draw(axes: Axes, one: Verdict, width_in: float, margin_in: float) -> None:
     count = len(one.names)
-    room = room_in * (count - 1) / max(width_in - 2.0 * room_in, 0.5)
-    aside = 0.6 * LABEL_IN / room_in * room
+    margin = margin_in * (count - 1) / max(width_in - 2.0 * margin_in, 0.5)
+    aside = 0.6 * LABEL_IN / margin_in * margin
     left, right = 1.0 - aside, count + aside
     axes.set_axis_off()
-    axes.set_xlim(1.0 - room, count + room)
+    axes.set_xlim(1.0 - margin, count + margin)
     axes.plot((1, count), (0, 0), color=BLACK, linewidth=0.9)
     for rank in range(1, count + 1):
         axes.plot((rank, rank), (0, 0.25), color=BLACK, linewidth=0.9)

@@ -27,9 +27,10 @@ if TYPE_CHECKING:
 MOST_PANELS = 6
 MOST_TICKS, MOST_LETTERS = 10, 45
 MARKERS = {"-": "o", "--": "o", "-.": "s", ":": "D"}  # in place of dashes
+SHAPES = "osD^vPX*"  # of the points, by the place of their line
 # From this ratio on x is logarithmic; intervals of different lines stand beside each other, by this share of the axis.
 LOG_FROM = 10.0
-DODGE = 0.008
+DODGE = 0.012
 BOUND_OF = {"position_rmse_m": "bound_position_rmse_m"}  # metrics that have a bound, and its row key
 Curve = tuple[Floats, Floats]  # times (P,), values of the trials (N, P) or (N, P, S)
 
@@ -172,9 +173,15 @@ def draw_curve(figure: Figure, data: SweepData, choice: CurveChoice, x: str) -> 
         return False
     figure.set_size_inches(*HALF_WIDTH_IN)
     axes, styles = figure.subplots(), estimator_styles(lines)
-    if names:
-        for one in styles.values():
+    for place, one in enumerate(styles.values()):
+        if names:
             one["marker"], one["linestyle"] = MARKERS[one["linestyle"]], "none"
+        else:  # where lines meet, the first one is seen, and the next one on both sides of it
+            one |= {
+                "marker": SHAPES[place % len(SHAPES)],
+                "linewidth": 1.2 + 1.2 * min(place, 3),
+                "zorder": 3 - 0.1 * place,
+            }
     logarithmic = not names and every[0] > 0 and every[-1] >= LOG_FROM * every[0]
     for index, (name, points) in enumerate(lines.items()):
         aside = DODGE * (index - (len(lines) - 1) / 2)
@@ -248,7 +255,8 @@ def draw_points(
     """Draw the statistic of each sample (n,) with its interval, in the sample's units, at its place along x."""
     middle, *ends = np.stack([choice.summed(values) for values in samples], axis=1)
     reach = np.nan_to_num(np.abs(ends - middle))
-    axes.errorbar(at, middle, yerr=reach, **{"marker": "o", **style}, markersize=3.5, capsize=2.5, elinewidth=0.9)
+    drawn = {"marker": "o", "markersize": 4.5, "markeredgecolor": "white", "markeredgewidth": 0.6, **style}
+    axes.errorbar(at, middle, yerr=reach, **drawn, capsize=2.5, elinewidth=0.9)
 
 
 def _beside(at: float | None, every: Sequence[float], aside: float, logarithmic: bool) -> float | None:

@@ -64,15 +64,14 @@ def draw_all(
     bound: BoundResult | None,
     out_dir: str | Path,
     progress: Progress = silent,
-    formats: Sequence[str] = ("png",),
     names: Sequence[str] | None = None,
 ) -> list[Path]:
-    """Draw every figure that applies, write each as `out_dir`/NAME.FORMAT, and return the paths written.
+    """Draw every figure that applies, write each as `out_dir`/NAME.png, and return the paths written.
 
     `names`: of the figures to draw (None: all).
     """
     every = drawings(city, recording, results, bound)
-    return style.write_all({name: every[name] for name in names or every}, out_dir, formats, progress)
+    return style.write_all({name: every[name] for name in names or every}, out_dir, ("png",), progress)
 
 
 def draw_error(figure: Figure, recording: Recording, results: Results, bound: BoundResult | None) -> bool:
@@ -123,7 +122,7 @@ def draw_associations(figure: Figure, recording: Recording, results: Results) ->
     The associations are those of the result that has most. The vertical range is that of the associated
     measurements, with some room: clutter reaches far beyond.
     """
-    chosen = shown_links(recording, most=2)
+    chosen = shown_links(recording)
     if not chosen:
         return False
     none = np.full(len(recording.measurements), -1, np.int64)
@@ -139,11 +138,11 @@ def draw_associations(figure: Figure, recording: Recording, results: Results) ->
     return True
 
 
-def shown_links(recording: Recording, most: int) -> list[int]:
-    """Return the link with most measurements of each of the first `most` sites that have any."""
+def shown_links(recording: Recording) -> list[int]:
+    """Return the link with most measurements of each of the first two sites that have any."""
     count = np.bincount(recording.measurements.link, minlength=len(recording.links))
     of_site = [np.where(recording.links.site == site, count, 0) for site in range(len(recording.sites))]
-    return [int(own.argmax()) for own in of_site if own.any()][:most]
+    return [int(own.argmax()) for own in of_site if own.any()][:2]
 
 
 def _associations(axes: Axes, recording: Recording, association: Ints, link: int) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from cellslam.benchmarks.trials.output_files import check_file
+from cellslam.benchmarks.trials.trials import check_counts
 from cellslam.cli.arguments import add, whole
 from cellslam.cli.progress_bars import bars
 from cellslam.sim.errors import InputError
@@ -25,11 +27,11 @@ def command(arguments: Namespace) -> None:
     from cellslam.scenarios.overrides import parse_all
     from cellslam.sim.world import prepare
 
-    if arguments.seed < 0:
-        raise InputError(f"--seed {arguments.seed}: a whole number from 0 on")
+    check_counts(1, arguments.seed)
     out = Path(arguments.out)
-    if out.suffix != ".png" or not out.resolve().parent.is_dir():
-        raise InputError(f"--out {out}: a .png in a folder that exists is expected")
+    check_file(out)
+    if out.suffix != ".png":
+        raise InputError(f"--out {out}: give the name of a .png file")
     scenario = load(arguments.scenario, parse_all([*arguments.sets, "radio.front_end=signal"]))
     with bars(arguments.quiet) as progress:
         world = prepare(scenario.world, arguments.seed, 0, progress)

@@ -6,17 +6,16 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any
 
-from cellslam.benchmarks.trials.output_files import check_folder
+from cellslam.benchmarks.trials.output_files import check_folder, write_text, writing
+from cellslam.benchmarks.trials.trials import check_counts
 from cellslam.cli.arguments import add
 from cellslam.cli.cities import write_pictures
-from cellslam.cli.long_requests import note_long
-from cellslam.cli.output import note
+from cellslam.cli.output import note, note_long
 from cellslam.cli.progress_bars import bars
 from cellslam.scenarios.loading import from_tables
 from cellslam.scenarios.overrides import parse_all
 from cellslam.sim.city import build_city
 from cellslam.sim.city.city_summary import summarise
-from cellslam.sim.errors import InputError
 
 EXAMPLES = ("city generate --seed 3 --set open_share=0.8 --out mycity",)
 SITES = [
@@ -46,8 +45,7 @@ def command(arguments: Namespace) -> None:
     from cellslam.sim.city.files.mitsuba import write_scene
     from cellslam.sim.world import city_rng
 
-    if arguments.seed < 0:
-        raise InputError(f"seed = {arguments.seed}: must be 0 or more")
+    check_counts(1, arguments.seed)
     name = f"city-{arguments.seed}"
     out = Path(arguments.out or f"results/{name}")
     stub = out / f"{name}.toml"
@@ -63,12 +61,10 @@ def command(arguments: Namespace) -> None:
     note_long(arguments, scenario.city)
     with bars(arguments.quiet) as progress, progress("building the city", 1):
         city = build_city(scenario.city, city_rng(scenario.world, 0, 0))
-    try:
+    with writing(out):
         out.mkdir(parents=True, exist_ok=True)
         write_scene(city, out / "city.xml")
-        stub.write_text(HEAD + tomli_w.dumps(tables), "utf-8")
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written ({error.strerror or error})") from None
+    write_text(stub, HEAD + tomli_w.dumps(tables))
     print("\n".join(summarise(city).lines()))
     pictures = [] if arguments.no_figures else write_pictures(city, out, plain=True, html=False)
     written = [out / "city.xml", stub, *pictures]

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cellslam.benchmarks.trials.output_files import check_file
+from cellslam.benchmarks.trials.output_files import check_file, writing
 from cellslam.cli.arguments import FLAG, REPEATED, add, whole
 from cellslam.cli.cities import add_mesh, city_of, parse_positions, read_positions, take_positions
 from cellslam.cli.output import note
 from cellslam.cli.progress_bars import bars
 from cellslam.sim.city import City
 from cellslam.sim.errors import InputError
+from cellslam.sim.rays.exchange import Traced, write_deepmimo, write_sionna
 
 if TYPE_CHECKING:
     from cellslam.sim.rays import Paths
@@ -44,11 +45,10 @@ def add_arguments(parser: ArgumentParser) -> None:
 def command(arguments: Namespace) -> None:
     from cellslam.sim.city.inside import OUTSIDE, check_outside, enclosing
     from cellslam.sim.rays import prepare, trace
-    from cellslam.sim.rays.exchange import Traced, write_deepmimo, write_sionna
 
     out = Path(arguments.out)
     _check_files(arguments, out)
-    transmitters = parse_positions(arguments.bs, "--bs")
+    transmitters = parse_positions(arguments.bs)
     receivers, velocity = read_positions(Path(arguments.rx))
     with bars(arguments.quiet) as progress:
         with progress("reading the city", 1):
@@ -58,15 +58,14 @@ def command(arguments: Namespace) -> None:
             prepare(city), transmitters, receivers, arguments.max_order, carrier_hz=arguments.carrier,
             ground_reflection=arguments.ground, diffraction=arguments.diffraction, progress=progress,
         )  # fmt: skip
-        try:
+        rays = Traced(paths, transmitters, receivers)
+        with writing(out):
             if arguments.format == "csv":
                 write_csv(out, paths, None if velocity is None else paths.doppler_hz(velocity, arguments.carrier))
             else:
                 write = write_sionna if arguments.format == "sionna" else write_deepmimo
-                write(out, Traced(paths, transmitters, receivers), arguments.carrier)
-        except OSError as error:
-            raise InputError(f"{out}: cannot be written ({error.strerror or error})") from None
-        _draw(arguments, city, paths, transmitters, receivers)
+                write(out, rays, arguments.carrier)
+        _draw(arguments, city, rays)
     inside = int(np.count_nonzero(enclosing(city, receivers) != OUTSIDE))
     counts = np.bincount(paths.order[paths.edge < 0], minlength=arguments.max_order + 1)
     kinds = ", ".join(f"{count} of order {order}" for order, count in enumerate(counts))
@@ -115,14 +114,14 @@ def write_csv(path: Path, paths: Paths, doppler_hz: Floats | None) -> None:
     pd.DataFrame(columns).to_csv(path, index=False, float_format="%.9f")
 
 
-def _draw(arguments: Namespace, city: City, paths: Paths, transmitters: Floats, receivers: Floats) -> None:
+def _draw(arguments: Namespace, city: City, rays: Traced) -> None:
     if arguments.plan or arguments.view:
         from cellslam.benchmarks.figures.city_pictures import draw_plan, draw_view
 
         for path, draw in ((arguments.plan, draw_plan), (arguments.view, draw_view)):
             if path:
-                draw(Path(path), city, paths, transmitters, receivers)
+                draw(Path(path), city, rays)
     if arguments.html:
         from cellslam.benchmarks.report.city_page import write_city
 
-        write_city(Path(arguments.html), city, paths, transmitters, receivers)
+        write_city(Path(arguments.html), city, rays)

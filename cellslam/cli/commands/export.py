@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellslam.benchmarks.trials.output_files import check_file
+from cellslam.benchmarks.trials.output_files import check_file, write_tum
 from cellslam.cli.arguments import REPEATED, add
 from cellslam.cli.output import at_once
 from cellslam.sim.errors import InputError
@@ -90,7 +90,8 @@ def _write(kind: str, recording: Recording, result: TrialResult | None, place: P
     elif kind == "calibration" and result is not None and result.calibration is not None:
         tables.write_calibration(result.calibration, recording.provenance, file)
     elif kind == "tum":
-        maps.tum(maps.shown(recording, result), file)
+        shown = maps.shown(recording, result)
+        write_tum(file, shown.time_s, shown.poses)
     elif kind == "ply":
         maps.ply(maps.shown(recording, result), file)
     elif place is not None:

@@ -173,11 +173,12 @@ def _written(city: str, tables: dict[str, Any]) -> str:
 def _draw(path: Path, city: City, route: Route, sites_m: Floats) -> None:
     from cellslam.benchmarks.figures.city_pictures import draw_plan
     from cellslam.sim.rays import trace
+    from cellslam.sim.rays.exchange import Traced
 
     step = max(round(SHOWN_EVERY_M * len(route.points_m) / route.length_m), 1)
     foot = route.points_m[::step]
     receivers = np.column_stack([foot, np.full(len(foot), city.road_m + VehicleConfig().array_height_m)])
-    draw_plan(path, city, trace(city, sites_m, receivers), sites_m, receivers)
+    draw_plan(path, city, Traced(trace(city, sites_m, receivers), sites_m, receivers))
 
 
 def read_line(path: str, city: City) -> Floats:

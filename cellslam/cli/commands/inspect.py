@@ -16,7 +16,7 @@ EXAMPLES = ("inspect drive.h5",)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    judge_help = "run this estimator, too, and say whether it is worth less than the odometry alone; may be repeated"
+    judge_help = "run this estimator, too: is its estimate worse than the odometry alone? may be repeated"
     add(parser, "file", "--accept-changed")
     add(parser, "--estimator", help=judge_help)
     add(parser, "--set", help=SET_HELP.format("estimator.fastslam.particles=300"))
@@ -37,9 +37,9 @@ def command(arguments: Namespace) -> None:
     recording = Recording.load(path, arguments.accept_changed)
     found = inspected(recording)
     if arguments.estimators:
-        from cellslam.cli.recording_estimates import doubts, estimates_by
+        from cellslam.cli.recording_estimates import estimates_by, warnings_by
 
-        found["estimators"] = doubts(*estimates_by(arguments, recording, path, arguments.estimators))
+        found["estimators"] = warnings_by(*estimates_by(arguments, recording, path, arguments.estimators))
     as_json = json.dumps(found, indent=1, allow_nan=False) + "\n" if arguments.json else ""
     sys.stdout.write(as_json or as_text(path, recording, found))
     if not arguments.no_figure:

@@ -8,8 +8,7 @@ from pathlib import Path
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.output_files import check_file, check_folder
 from cellslam.cli.arguments import add, whole
-from cellslam.cli.long_requests import note_long
-from cellslam.cli.output import note, size_of
+from cellslam.cli.output import note, note_long, size_of
 from cellslam.cli.progress_bars import bars
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load

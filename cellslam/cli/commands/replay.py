@@ -15,7 +15,7 @@ from cellslam.cli.arguments import ESTIMATION, SET_HELP, add, limits
 from cellslam.cli.between_drives import check_map, with_calibration
 from cellslam.cli.output import note
 from cellslam.cli.progress_bars import bars
-from cellslam.cli.recording_estimates import assumed_by, doubts, origin_by
+from cellslam.cli.recording_estimates import assumed_by, origin_by, warnings_by
 from cellslam.cli.results import Results, left_out
 from cellslam.recordings.fitting.fit_sizes import in_words, toml
 from cellslam.scenarios.estimator_options import with_options
@@ -72,7 +72,7 @@ def command(arguments: Namespace) -> int:
 
         interrupted = results.work_off(only(), progress)
     status = results.report(interrupted)
-    if results.first is not None and results.first.recording is not None:
+    if results.first is not None and results.first.drive.recording is not None:
         found = [outcome.result for outcome in results.first.outcomes if outcome.result is not None]
-        results.note("\n".join(chain(*doubts(results.first.recording, found, given.fitted).values())))
+        results.note("\n".join(chain(*warnings_by(results.first.drive.recording, found, given.fitted).values())))
     return status

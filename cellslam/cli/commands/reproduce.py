@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = ("reproduce paper --seed 1", "reproduce bp-slam-testbed --trials 5")
 CONFIDENCE = 0.95
-WORTH = "position_rmse_m"  # key of a trial's row by which the rungs of a ladder are compared
+COMPARED = "position_rmse_m"  # key of a trial's row by which the rungs of a ladder are compared
 DRAWN = ("map", "error", "associations")
 _WIDTH = 120
 
@@ -90,14 +90,14 @@ def ladder(world: KnownWorld, tables: list[pd.DataFrame]) -> Table:
     before: pd.DataFrame | None = None
     for entry, rows in zip(world.ladder, tables, strict=True):
         own = [_own(figure, rows)[0] for figure in world.figures]
-        table.add_row(entry.name, *own, *(("-", "-") if before is None else _worth(before, rows)), str(len(rows)))
+        table.add_row(entry.name, *own, *(("-", "-") if before is None else _ratio(before, rows)), str(len(rows)))
         before = rows
     return table
 
 
 def _rows(out: Path, world: KnownWorld, made: Plan, entries: Sequence[Entry]) -> list[pd.DataFrame]:
     """Return the rows of each entry that a plan has and that did not fail."""
-    columns = dict.fromkeys(("key", "status", "trial", WORTH, *(figure.key for figure in world.figures)))
+    columns = dict.fromkeys(("key", "status", "trial", COMPARED, *(figure.key for figure in world.figures)))
     rows = results(out, list(columns))
     keys: dict[tuple[str, str, str], list[str]] = {}
     for task in made.tasks:
@@ -115,9 +115,9 @@ def _own(figure: Figure, rows: pd.DataFrame) -> tuple[str, str, str]:
     return f"{float(of.of(values)):.2f}", _span(*interval(values, of, CONFIDENCE)), str(len(values))
 
 
-def _worth(before: pd.DataFrame, after: pd.DataFrame) -> tuple[str, str]:
+def _ratio(before: pd.DataFrame, after: pd.DataFrame) -> tuple[str, str]:
     pairs = before.merge(after, on="trial", suffixes=("_before", "_after"))
-    first, second = (pairs[f"{WORTH}_{when}"].to_numpy(np.float64) for when in ("after", "before"))
+    first, second = (pairs[f"{COMPARED}_{when}"].to_numpy(np.float64) for when in ("after", "before"))
     ratio, low, high = geometric_mean_ratio(first, second, CONFIDENCE)
     return "-" if np.isnan(ratio) else f"{ratio:.2f}", _span(low, high)
 

@@ -15,7 +15,7 @@ from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, Trial, check_counts, simulated_trials
 from cellslam.cli.arguments import ESTIMATION, add, limits, whole
 from cellslam.cli.between_drives import check_map, with_calibration, with_map
-from cellslam.cli.long_requests import note_long
+from cellslam.cli.output import note_long
 from cellslam.cli.progress_bars import bars
 from cellslam.cli.results import Results, left_out
 from cellslam.scenarios import external_options
@@ -71,11 +71,11 @@ def command(arguments: Namespace) -> int:
         interrupted = results.work_off(simulated_trials(scenario, requests, trials, seed, external, progress), progress)
     status = results.report(interrupted)
     if not interrupted and any(row["status"] == "ok" for row in results.rows):
-        results.note(worth_trying(results))
+        results.note(next_commands(results))
     return status
 
 
-def worth_trying(results: Results) -> str:
+def next_commands(results: Results) -> str:
     """Return the commands that one may want to give next, each with what it does."""
     again, folder = results.command, shlex.quote(str(results.folder))
     commands = {f"cellslam report {folder}": "one page of it, with a playback"} if results.keep is not None else {}

@@ -63,7 +63,7 @@ def _read(place: Path, arguments: Namespace) -> Traced:
         return read_deepmimo(place, arguments.rx_set, tolerance)
     if not place.is_file():
         raise InputError(f"{place}: no such file or folder; give Sionna RT's paths as .npz, or a DeepMIMO folder")
-    transmitters = parse_positions(arguments.bs, "--bs") if arguments.bs else None
+    transmitters = parse_positions(arguments.bs) if arguments.bs else None
     receivers = read_positions(Path(arguments.rx))[0] if arguments.rx else None
     return read_sionna(place, arguments.polarisation, transmitters, receivers, tolerance)
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import sys
-import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from cellslam.recordings.importing.campaign import Campaign, build
-from cellslam.sim.errors import InputError, nearest_name
+from cellslam.sim.errors import InputError, nearest_name, one_line
 from cellslam.sim.recording import Recording
+from cellslam.slam.registry import own_traceback, seek_here
 
 ADAPTERS = {
     "victoria-park": "cellslam.recordings.adapters.victoria_park:load",
@@ -40,10 +39,8 @@ def import_adapter(folder: Path, name: str, options: Mapping[str, Any] | None = 
     except InputError:
         raise
     except Exception as error:
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        text = " ".join(str(error).split())
-        place = f"({Path(where.filename).name}, line {where.lineno})"
-        raise InputError(f"adapter '{name}' failed on {folder}: {type(error).__name__}: {text} {place}") from error
+        text = f"{type(error).__name__}: {one_line(error)}{own_traceback(error)}"
+        raise InputError(f"adapter '{name}' failed on {folder}: {text}") from error
     recording = build(made) if isinstance(made, Campaign) else made
     if not isinstance(recording, Recording):
         raise InputError(f"adapter '{name}' returned {type(made).__name__}: return a Campaign or a Recording")
@@ -65,14 +62,12 @@ def _adapter(name: str) -> Callable[..., Any]:
     if not (module_name and function_name):
         near = nearest_name(name, ADAPTERS)
         raise InputError(f"unknown adapter '{name}'{near} (known: {', '.join(ADAPTERS)}; your own as module:function)")
-    here = str(Path.cwd())
-    if here not in sys.path and "" not in sys.path:
-        sys.path.append(here)
+    seek_here()
     try:
         module = importlib.import_module(module_name)
     except Exception as error:
-        text = " ".join(str(error).split())
-        raise InputError(f"adapter '{name}': its module cannot be imported: {type(error).__name__}: {text}") from error
+        text = f"{type(error).__name__}: {one_line(error)}"
+        raise InputError(f"adapter '{name}': its module cannot be imported: {text}") from error
     function = getattr(module, function_name, None)
     if not callable(function):
         raise InputError(f"adapter '{name}': {module_name} has no function '{function_name}'")

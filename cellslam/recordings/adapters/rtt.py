@@ -16,13 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cellslam.recordings.adapters.anchored import named, pose_odometry, surveyed
-from cellslam.recordings.adapters.shared import increasing, is_known
+from cellslam.recordings.adapters.shared import anchors, increasing, is_known, named, planar, pose_odometry, surveyed
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.odometry import OdometryTable
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.recording import Floats
 
 NANOSECOND_M = 1e-9 * SPEED_OF_LIGHT_MPS
 TIME = {"time_s": 1.0, "timestamp_ms": 1e-3, "timestamp_ns": 1e-9}
@@ -68,19 +66,13 @@ def load(folder: Path, *, sites: str = "known", clock_offset_std_m: float = 0.0)
         link=link,
         link_sites=names.tolist(),
         site_offsets=dict.fromkeys(names.tolist(), (0.0, clock_offset_std_m)),
-        site_surveys=surveyed(names, _places(folder / "anchors.csv")) if known else {},
+        site_surveys=surveyed(names, anchors(folder, {"id": IDENT, **PLACE})) if known else {},
         odometry=odometry,
         noise=WALKS if odometry is None else SHEET,
         start_pose=None if truth.is_file() else (0.0,) * 6,
         reference=_reference(truth) if truth.is_file() else None,
         about={"campaign": "ranges", "description": folder.name},
     )
-
-
-def _places(path: Path) -> dict[str, Floats]:
-    table = named(path, {"id": IDENT, **PLACE})
-    places = np.column_stack([table[axis] for axis in "xyz"])
-    return dict(zip(table["id"].tolist(), places, strict=True))
 
 
 def _odometry(path: Path) -> OdometryTable | None:
@@ -94,8 +86,7 @@ def _odometry(path: Path) -> OdometryTable | None:
     if speeds or any(name not in table for name in ("x", "y", "yaw")):
         raise InputError(f"{path}: give speed_mps and yaw_rate_radps, or x_m, y_m and yaw_rad")
     rows = increasing(np.column_stack([table[name] for name in ("time_s", "x", "y", "yaw")]))
-    nothing = np.zeros(len(rows))
-    return pose_odometry(rows[:, 0], np.column_stack([rows[:, 1:3], nothing, np.unwrap(rows[:, 3]), nothing, nothing]))
+    return pose_odometry(rows[:, 0], planar(rows[:, 1:3], np.unwrap(rows[:, 3])))
 
 
 def _reference(path: Path) -> ReferenceTable:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cellslam.recordings.adapters.tui_files import Responses, Sheet, complex_of, opened
-from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
+from cellslam.recordings.importing.campaign import DEVIATIONS, QUANTITIES
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, TURN
 from cellslam.sim.lte.array import EadfArray, eadf_from_grid
@@ -17,7 +17,7 @@ from cellslam.sim.recording import Floats, Ints
 
 GROUP, PATTERNS = "FrequencyResponses", "BeampatternData"
 WINDOW = (-0.02, 0.95)  # of the unambiguous range: paths are looked for from, and to
-COLUMNS = (*QUANTITIES, *CLAIMS)
+COLUMNS = (*QUANTITIES, *DEVIATIONS)
 
 
 def estimated(folder: Path, sheet: Sheet, asked: Responses) -> tuple[Floats, Floats, Ints, dict[str, Floats]]:

@@ -21,8 +21,16 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.recordings.adapters.anchored import named, pose_odometry, poses_of, surveyed, trajectory
-from cellslam.recordings.adapters.shared import increasing, is_known
+from cellslam.recordings.adapters.shared import (
+    anchors,
+    increasing,
+    is_known,
+    named,
+    pose_odometry,
+    poses_of,
+    surveyed,
+    trajectory,
+)
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.manifest import FileTable
 from cellslam.recordings.importing.odometry import OdometryTable
@@ -49,7 +57,7 @@ def load(folder: Path, *, sites: str = "known") -> Campaign:
     campaign = _of_tables(folder) if tables else _of_streams(folder)
     if not is_known("sites", sites):
         return campaign
-    places = (_anchors_of_table if tables else _anchors_of_survey)(folder)
+    places = anchors(folder, ANCHORS) if tables else _anchors_of_survey(folder)
     return replace(campaign, site_surveys=surveyed(campaign.link_sites, places))
 
 
@@ -62,12 +70,6 @@ def _of_tables(folder: Path) -> Campaign:
         pose_odometry(*trajectory(odometry)) if odometry.is_file() else None,
         trajectory(truth) if truth.is_file() else None,
     )  # fmt: skip
-
-
-def _anchors_of_table(folder: Path) -> dict[str, Floats]:
-    """Return the places (3,) in m of anchors by name."""
-    table = named(folder / "anchors.csv", ANCHORS)
-    return dict(zip(table["id"].tolist(), np.column_stack([table[axis] for axis in "xyz"]), strict=True))
 
 
 def _of_streams(folder: Path) -> Campaign:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from cellslam.benchmarks.scores.trial_result import TrialResult
-from cellslam.benchmarks.trials.output_files import write_tum
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import VtEstimate, WallEstimate
@@ -52,11 +51,6 @@ def shown(recording: Recording, result: TrialResult | None) -> Shown:
     known = np.isfinite(reference.position_m[:, :2]).all(axis=1)
     poses = np.column_stack([np.nan_to_num(reference.position_m), angles])[known]
     return Shown("reference", reference.time_s[known], poses, no_vts)
-
-
-def tum(data: Shown, path: Path) -> None:
-    """Write the trajectory."""
-    write_tum(path, data.time_s, data.poses)
 
 
 def geojson(data: Shown, place: Place, path: Path) -> None:
@@ -161,8 +155,8 @@ def _rounded(*columns: Floats) -> Any:
 def ply(data: Shown, path: Path) -> None:
     """Write VTs as vertices with id, link and the six covariance terms in square metres."""
     terms = ("xx", "xy", "xz", "yy", "yz", "zz")
-    upper, vts = np.triu_indices(3), data.vts
-    lines = [
+    vts = data.vts
+    head = [
         "ply",
         "format ascii 1.0",
         f"comment VTs of {data.name}, metres",
@@ -173,8 +167,7 @@ def ply(data: Shown, path: Path) -> None:
         *(f"property double covariance_{term}" for term in terms),
         "end_header",
     ]
-    for i in range(len(vts.id)):
-        place = " ".join(f"{x:.6f}" for x in vts.position_m[i])
-        spread = " ".join(f"{x:.9g}" for x in vts.covariance[i][upper])
-        lines.append(f"{place} {int(vts.id[i])} {int(vts.link[i])} {spread}")
-    path.write_text("\n".join(lines) + "\n", "ascii")
+    rows, columns = np.triu_indices(3)
+    table = np.column_stack([vts.position_m, vts.id, vts.link, vts.covariance[:, rows, columns]])
+    formats = [*["%.6f"] * 3, "%d", "%d", *["%.9g"] * 6]
+    np.savetxt(path, table, formats, header="\n".join(head), comments="")

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from cellslam.benchmarks.scores.array_calibration import field_map
-from cellslam.recordings.importing.campaign import CLAIMS, KINDS_OF_NOISE, QUANTITIES
+from cellslam.benchmarks.trials.output_files import writing
+from cellslam.recordings.importing.campaign import DEVIATIONS, KINDS_OF_NOISE, QUANTITIES
 from cellslam.recordings.importing.columns import ATTITUDE, POSITION, TABLES
 from cellslam.recordings.importing.manifest import NAME
 from cellslam.sim.errors import InputError
@@ -52,7 +53,7 @@ def tables(recording: Recording) -> Tables:
     """Return the tables that are imported again, by name and column; what was not measured has no column."""
     r, m = recording, recording.measurements
     paths: dict[str, Any] = {"time_s": r.time_s[m.snapshot], "link": m.link}
-    for name in (*QUANTITIES, *CLAIMS):
+    for name in (*QUANTITIES, *DEVIATIONS):
         column = getattr(m, name)
         if column is not None and not (len(m) and np.isnan(column).all()):
             paths[name] = column
@@ -156,13 +157,12 @@ def new_folder(folder: Path) -> Iterator[Path]:
         raise InputError(f"--out {folder}: there is no folder {folder.parent}; create it first")
     place = folder.absolute().with_name(f".{folder.name}.{os.getpid()}.tmp")
     try:
-        place.mkdir()
-        yield place
-        if folder.exists():
-            folder.rmdir()
-        place.replace(folder)
-    except OSError as error:
-        raise InputError(f"--out {folder}: cannot be written ({error.strerror or error})") from error
+        with writing(folder):
+            place.mkdir()
+            yield place
+            if folder.exists():
+                folder.rmdir()
+            place.replace(folder)
     finally:
         shutil.rmtree(place, ignore_errors=True)
 

@@ -49,7 +49,7 @@ class Fitted:
     visible_s: float
 
 
-def first_guess(recording: Recording, progress: Progress = silent) -> dict[str, float]:
+def initial_options(recording: Recording, progress: Progress = silent) -> dict[str, float]:
     """Return the front-end options (m, deg, s) that the tracks of a recording give, by name.
 
     Raises InputError where there are too few tracks to tell.

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import BaseModel
 
-from cellslam.recordings.fitting.fit_noise import first_guess
+from cellslam.recordings.fitting.fit_noise import initial_options
 from cellslam.recordings.importing.campaign import KINDS_OF_NOISE
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, Floats, OdometryModel, Recording
@@ -75,7 +75,7 @@ def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Pro
     """
     sheet, bursts = recording.odometry_model, 1.0
     if assumed is None:
-        assumed, sheet, bursts = first_guess(recording, progress), _with_least(recording, sheet), BURSTS
+        assumed, sheet, bursts = initial_options(recording, progress), _with_least(recording, sheet), BURSTS
     first = tried = Sheets(EkfSlamOptions(**{"start_limit_s": START_LIMIT_S} | dict(assumed)), sheet)
     last: Pass | None = None
     fitting: Pass | None = None

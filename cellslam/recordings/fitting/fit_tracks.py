@@ -16,7 +16,7 @@ from cellslam.sim.recording import Floats, Ints, Recording
 ROWS = 250_000  # of a long recording the first so many measurements
 MISSES = 3  # a track may pause for so many epochs of its link
 GATE = 4.0  # standard deviations of a prediction's error, in each quantity
-FIRST_GUESS = (2.0, np.radians(5.0), np.radians(5.0))
+INITIAL_STD = (2.0, np.radians(5.0), np.radians(5.0))
 QUANTITIES = ("distance_m", "azimuth_rad", "elevation_rad")
 
 
@@ -47,16 +47,16 @@ def robust_std(values: Floats) -> float:
 
 
 def tracks_of(recording: Recording) -> Tracks:
-    """Return the tracks of a recording; the gates are first guessed, then twice taken from the innovations."""
+    """Return the tracks of a recording; the gates are twice taken from the innovations."""
     r = recording
     poses = dead_reckoned(r, r.time_s)
     rows = min(len(r.measurements), ROWS)
-    scale = np.array(FIRST_GUESS)
+    scale = np.array(INITIAL_STD)
     steps = _joined(r, poses, rows, scale)
     for _ in range(2):
-        for i, guess in enumerate(FIRST_GUESS):
+        for i, initial in enumerate(INITIAL_STD):
             known = np.isfinite(steps.innovation[:, i]).sum()
-            scale[i] = guess if known < 30 else max(robust_std(steps.innovation[:, i]), 1e-4 * guess)
+            scale[i] = initial if known < 30 else max(robust_std(steps.innovation[:, i]), 1e-4 * initial)
         steps = _joined(r, poses, rows, scale)
     return Tracks(rows, _labels(steps, rows), steps, poses)
 

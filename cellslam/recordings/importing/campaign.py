@@ -19,12 +19,12 @@ from cellslam.recordings.importing.odometry import (
 )  # fmt: skip
 from cellslam.recordings.importing.start_pose import start_from_reference
 from cellslam.sim import recording as contract
-from cellslam.sim.errors import InputError
+from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import CLOCK_PRIOR, COMPONENTS, Floats, Recording, Reference
 
 QUANTITIES = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db")
-CLAIMS = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
+DEVIATIONS = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
 KINDS_OF_NOISE = ("noise_density", "bias", "bias_walk_density", "scale")  # of a data sheet
 NOTHING = (0.0,) * 6
 SAME_TIME_S = 1e-6  # measurements nearer than this belong to one snapshot
@@ -51,7 +51,7 @@ class ReferenceTable:
 class Campaign:
     """What was measured: each table with its own times, all on one clock, in metres, radians, seconds, dB.
 
-    `time_s` (M,) and `columns`: a row a path; those of `QUANTITIES` and `CLAIMS` that exist; `link` (M,) indexes
+    `time_s` (M,) and `columns`: a row a path; those of `QUANTITIES` and `DEVIATIONS` that exist; `link` (M,) indexes
     `link_sites`, the site of each link. `site_offsets`: by site, the prior of the clock offset (mean, std) in
     metres and as many as there are of the further columns of `CLOCK_PRIOR`; a site whose clock is known has (0, 0).
     `site_surveys`: by site, where it stands and, if the survey errs, the deviations: (x, y, z) or (x, y, z, std x, std
@@ -144,9 +144,9 @@ def _check_shared(table: str, own_s: Floats, times: Floats) -> None:
 
 def _measurements(campaign: Campaign, rows_s: Floats, times: Floats) -> contract.Measurements:
     count = len(rows_s)
-    unknown = [name for name in campaign.columns if name not in (*QUANTITIES, *CLAIMS)]
-    if unknown:
-        raise InputError(f"measurements: unknown column '{unknown[0]}' (known: {', '.join((*QUANTITIES, *CLAIMS))})")
+    for name in campaign.columns:
+        if name not in (*QUANTITIES, *DEVIATIONS):
+            raise unknown_name("column of measurements", name, (*QUANTITIES, *DEVIATIONS))
     if not any(name in campaign.columns for name in QUANTITIES[:3]):
         raise InputError("measurements have neither distance nor angle: give distance_m, azimuth_rad or elevation_rad")
     link = np.zeros(count, np.int64) if campaign.link is None else np.asarray(campaign.link, np.int64)
@@ -167,7 +167,7 @@ def _measurements(campaign: Campaign, rows_s: Floats, times: Floats) -> contract
         table[name] = wrap_angle(column[order]) if name == "azimuth_rad" else column[order]
     nothing = np.full(count, np.nan)
     quantities = (table.get(name, nothing) for name in QUANTITIES)
-    claims = (table.get(name) for name in CLAIMS)
+    claims = (table.get(name) for name in DEVIATIONS)
     return contract.Measurements(snapshot[order].astype(np.int64), link[order], *quantities, *claims)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
+from cellslam.recordings.importing.campaign import DEVIATIONS, QUANTITIES
 from cellslam.recordings.importing.manifest import Column, Manifest
 from cellslam.recordings.importing.tables import TableFile
 from cellslam.sim.errors import InputError, nearest_name
@@ -32,7 +32,7 @@ TABLES: dict[str, dict[str, Units]] = {
     "measurements": {
         "time_s": TIME,
         **dict(zip(QUANTITIES, (DELAY, ANGLE, ANGLE, LEVEL), strict=True)),
-        **dict(zip(CLAIMS, (DELAY, ANGLE, ANGLE), strict=True)),
+        **dict(zip(DEVIATIONS, (DELAY, ANGLE, ANGLE), strict=True)),
     },
     "snapshots": {"time_s": TIME},
     "odometry": {"time_s": TIME, **dict.fromkeys(COMPONENTS[:3], SPEED), **dict.fromkeys(COMPONENTS[3:], RATE)},

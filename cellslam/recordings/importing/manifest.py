@@ -192,14 +192,19 @@ def files_outside(folder: Path, tables: Any) -> list[str]:
     return [*outside, *(name for inner in tables.values() for name in files_outside(folder, inner))]
 
 
-def read_tables(path: Path, model: type[Tables]) -> Tables:
-    """Return a TOML file as a model. Raises InputError with file, key, value and what is allowed."""
+def tables_of(path: Path) -> dict[str, Any]:
+    """Return a TOML file as plain tables. Raises InputError."""
     try:
-        tables = toml_of(text_of(path))
+        return toml_of(text_of(path))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not TOML ({error}); correct it there") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def read_tables(path: Path, model: type[Tables]) -> Tables:
+    """Return a TOML file as a model. Raises InputError with file, key, value and what is allowed."""
+    tables = tables_of(path)
     try:
         return validate(model, tables)
     except InputError as error:

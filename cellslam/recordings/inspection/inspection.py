@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from cellslam.benchmarks.scores.metrics import duration_s
 from cellslam.benchmarks.scores.reference_fixes import outlying, unled, within
-from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
+from cellslam.recordings.importing.campaign import DEVIATIONS, QUANTITIES
 from cellslam.recordings.inspection.suspicions import suspicions
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.recording import COMPONENTS, Ints, Recording, Sites
@@ -54,7 +54,7 @@ def _snapshots(r: Recording) -> dict[str, Any]:
 def _measurements(r: Recording) -> dict[str, Any]:
     m = r.measurements
     out: dict[str, Any] = {"count": len(m), "per_snapshot": _number(len(m) / len(r.time_s))}
-    for name in (*QUANTITIES, *CLAIMS):
+    for name in (*QUANTITIES, *DEVIATIONS):
         column = getattr(m, name)
         known = np.empty(0) if column is None else column[~np.isnan(column)]
         if len(known):
@@ -129,7 +129,7 @@ def _missing(r: Recording) -> list[str]:
             out.append(f"{word} (never measured)")
         elif 0.0 < share < 1.0:
             out.append(f"{word} in {100 * share:.1f} % of the rows")
-    if all(getattr(m, name) is None for name in CLAIMS):
+    if all(getattr(m, name) is None for name in DEVIATIONS):
         out.append("deviations of the measurements")
     for i, name in enumerate(COMPONENTS):
         share = float(np.isnan(r.odometry[1:, i]).mean()) if len(r.time_s) > 1 else 0.0
@@ -158,7 +158,7 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
         f"measurements  {m['count']}, {m['per_snapshot']:.4g} a snapshot"
         + (", in one plane" if found["plane"] else ""),
     ]
-    for name in (*QUANTITIES, *CLAIMS):
+    for name in (*QUANTITIES, *DEVIATIONS):
         if name in m:
             q = m[name]
             share = "" if q["share"] == 1.0 else f" ({100 * q['share']:.1f} % of the rows)"
@@ -174,8 +174,8 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
         lines.append(f"truth         poses, {len(recording.truth.vts)} VTs, associations (simulated)")
     lines += [f"missing       {what}" for what in found["missing"]]
     lines += [f"SUSPICIOUS    {what['text']}" for what in found["suspicions"]] or ["suspicious    nothing"]
-    for name, doubts in found.get("estimators", {}).items():
-        lines += [f"SUSPICIOUS    {line}" for line in doubts] or [f"{name:<14}nothing speaks against its estimate"]
+    for name, warnings in found.get("estimators", {}).items():
+        lines += [f"SUSPICIOUS    {line}" for line in warnings] or [f"{name:<14}nothing speaks against its estimate"]
     return "\n".join(lines) + "\n"
 
 

@@ -36,7 +36,7 @@ LEAST_STD_M, LEAST_STD_RAD = 0.02, 0.002
 ERROR, ERROR_KNOWN = 0.3, 0.05  # of a motion, with which the sigmas begin: of odometry and of a reference
 FAR_M = 1e6
 BLOCKS = 16
-WORTH = 5.0  # most measurements of a pair of moments that count: their errors are alike
+MOST_INDEPENDENT = 5.0  # most measurements of a pair of moments that count: their errors are alike
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ class PathEvidence:
         found, seen = self._mixture(pairs, range_error, azimuth_error, (std_m, std_rad), jacobian)
         total = np.bincount(pairs.pair, np.log(found), minlength=len(pairs.after_s))
         targets = np.bincount(pairs.pair, minlength=len(total))
-        return np.where(seen, total * np.minimum(1.0, WORTH / np.maximum(targets, 1)), np.nan)
+        return np.where(seen, total * np.minimum(1.0, MOST_INDEPENDENT / np.maximum(targets, 1)), np.nan)
 
     def _innovations(self, pairs: Pairs, moved: Floats, c: Correction) -> tuple[Floats, Floats]:
         """Return second minus predicted distances and azimuths (C,) in m and rad, after `moved` (C, 3)."""

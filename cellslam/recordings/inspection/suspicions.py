@@ -40,7 +40,7 @@ STDS, NOISE_M = 5.0, 100.0  # of a clock's offset, and an error of a distance, w
 OVERLAP = 0.5  # stretches overlap: so much of their number is independent
 MOST = 5.0  # log-likelihood that a single stretch may give or take
 NATS, AGREED = 10.0, 0.7  # least gain of all stretches, and how far blocks must agree
-WORTHY = 0.5  # gain of a stretch that counts as much as any
+LEAST_GAIN = 0.5  # gain of a stretch that counts as much as any
 AS_WELL, NEARLY = 0.9, 0.8  # shares of another's gain
 TABLES = {
     "paths": "measured paths and odometry",
@@ -295,7 +295,7 @@ def _ranked(evidence: list[Evidence]) -> list[Contradiction]:
         for k in range(ROUNDS):
             best = max([best, *tried(explanation.near(best[1], k))], key=lambda one: one[0])
         found.append((explanation, *best[1:]))
-    most = [max(WORTHY, *(gains[i].mean for _, _, gains in found)) for i in range(len(evidence))]
+    most = [max(LEAST_GAIN, *(gains[i].mean for _, _, gains in found)) for i in range(len(evidence))]
     out = []
     for explanation, c, gains in found:
         total = sum(float(np.clip(g.mean / m, -1.0, 1.0)) for g, m in zip(gains, most, strict=True))

@@ -24,7 +24,7 @@ PATHS = 1.25  # a link has hardly more than one path a snapshot
 TURNS, ROUNDS = 4, 8
 KEPT = 0.8  # the best of the residuals: the others may be anything
 RANGE_FLOOR = 0.005  # of the distance
-RANGES_WORTH = 12.0  # of a stretch's residuals: half of their number
+RANGE_DEGREES_OF_FREEDOM = 12.0  # of a stretch's residuals: half of their number
 
 
 class ReferenceEvidence:
@@ -156,7 +156,7 @@ class RangeEvidence:
         rest = np.full(len(points), np.nan)
         distance = self.distance[inside] * c.distance + c.distance_zero_m
         rest[inside] = _rest(points[inside], distance)
-        return np.asarray(-RANGES_WORTH * np.log(np.hypot(rest / c.distance, self.floor)))
+        return np.asarray(-RANGE_DEGREES_OF_FREEDOM * np.log(np.hypot(rest / c.distance, self.floor)))
 
     def _points(self, times: Floats, c: Correction) -> Floats:
         if self.fixes is None:

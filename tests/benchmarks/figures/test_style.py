@@ -60,6 +60,6 @@ def test_series_of_an_estimator_are_shades_of_its_colour() -> None:
 def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "a.png"
     path.symlink_to("/dev/full")
-    with pytest.raises(InputError, match=r"a.png: the figure cannot be written \(No space left on device\)"):
+    with pytest.raises(InputError, match=r"a.png: cannot be written \(No space left on device\)"):
         save(Figure(), path)
     assert not path.is_symlink()

@@ -64,6 +64,13 @@ def test_the_bound_of_the_drives_is_in_the_curve(folder: Path, metric: str, boun
     assert to_hex(colour_of("fastslam")) in {to_hex(line.get_color()) for line in figure.axes[0].get_lines()}
 
 
+def test_of_lines_that_coincide_all_are_seen(folder: Path) -> None:
+    figure = Figure()
+    assert draw_curve(figure, load(folder), CurveChoice(), "radio.load")
+    above, below = sorted((c.lines[0] for c in figure.axes[0].containers), key=lambda line: -line.get_zorder())
+    assert above.get_marker() != below.get_marker() and above.get_linewidth() < below.get_linewidth()
+
+
 def test_worlds_that_differ_in_more_than_x_have_bounds_of_their_own(folder: Path) -> None:
     lines = sweep_lines(load(folder), "radio.load")
     bounds = bound_lines(lines, "bound_position_rmse_m", x="another key")

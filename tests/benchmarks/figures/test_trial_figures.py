@@ -104,7 +104,7 @@ def test_association_figure_colours_each_vt_and_greys_the_rest(scene):
     idle = dataclasses.replace(scene.results["dead-reckoning"], association=np.full(len(m), -1))
     assert trial_figures.draw_associations(figure, scene.recording, {"idle": idle, **scene.results})
     grey, first, second = figure.axes[0].lines
-    mine = m.link == trial_figures.shown_links(scene.recording, 2)[0]
+    mine = m.link == trial_figures.shown_links(scene.recording)[0]
     truth_vt = scene.recording.truth.measurement_vt[mine]
     np.testing.assert_allclose(grey.get_ydata(), m.distance_m[mine][truth_vt < 0])
     assert {len(first.get_xdata()), len(second.get_xdata())} == {(truth_vt == 0).sum(), (truth_vt == 1).sum()}

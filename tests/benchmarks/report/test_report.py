@@ -80,9 +80,9 @@ def test_summary_and_curves_hold_the_medians(folder: Path, said: dict[str, Any])
         squares = own[["position_rmse_m", "bound_position_rmse_m"]].pow(2).sum()
         assert ratio == pytest.approx(np.sqrt(squares.iloc[0] / squares.iloc[1]), abs=6e-3)
     # Four estimators are six pairs, with each load and over both.
-    told_apart = [text.partition(":") for text in said["ranks"]["told_apart"]]
-    assert [where for where, *_ in told_apart] == ["radio.load = 0.1", "radio.load = 1", "overall"]
-    assert all(" of 6 pairs" in text for *_, text in told_apart)
+    significant_pairs = [text.partition(":") for text in said["ranks"]["significant_pairs"]]
+    assert [where for where, *_ in significant_pairs] == ["radio.load = 0.1", "radio.load = 1", "overall"]
+    assert all(" of 6 pairs" in text for *_, text in significant_pairs)
     curves = {curve["key"]: curve["lines"] for curve in said["curves"]}
     assert set(curves) == {"radio.load", PARTICLES}
     along = {line["name"]: line["metrics"].get("position_rmse_m", [[]])[0] for line in curves[PARTICLES]}

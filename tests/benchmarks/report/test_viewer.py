@@ -20,6 +20,7 @@ from cellslam.cli.main import main
 from cellslam.scenarios import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.rays import trace
+from cellslam.sim.rays.exchange import Traced
 from cellslam.sim.rays.paths import DIFFRACTED
 from cellslam.sim.recording import Recording
 from cellslam.sim.world import prepare
@@ -74,14 +75,15 @@ def test_rays_of_a_city_are_told_apart_by_kind_and_thinned(tmp_path: Path, monke
     world = prepare(load("tiny").world, 0, 0)
     receivers = world.drive.poses[::20, :3].copy()
     paths = trace(world.scene, world.sites_m, receivers, 1, diffraction=True)
-    write_city(tmp_path / "a.html", world.scene.city, paths, world.sites_m, receivers)
+    rays = Traced(paths, world.sites_m, receivers)
+    write_city(tmp_path / "a.html", world.scene.city, rays)
     page = shown(tmp_path / "a.html")
-    kinds = [ray[0] for rays in page["trials"][0]["scene"]["rays"] for ray in rays]
+    kinds = [ray[0] for own in page["trials"][0]["scene"]["rays"] for ray in own]
     bent = int((paths.edge >= 0).sum())
     assert len(kinds) == len(paths) < MOST_RAYS and kinds.count(DIFFRACTED) == bent > 0
     assert f"{bent} diffracted" in page["lead"] and page["trials"][0]["time"] == list(range(len(receivers)))
     monkeypatch.setattr("cellslam.benchmarks.report.city_page.MOST_RAYS", len(paths) // 2 - 1)
-    write_city(tmp_path / "b.html", world.scene.city, paths, world.sites_m, receivers)
+    write_city(tmp_path / "b.html", world.scene.city, rays)
     fewer = shown(tmp_path / "b.html")["trials"][0]
     assert fewer["time"] == list(range(0, len(receivers), 3)) and len(fewer["scene"]["rays"]) == len(fewer["time"])
 

@@ -42,18 +42,18 @@ def swept(out: Path, claimed: dict[str, float]) -> Path:
 
 def test_an_honest_estimator_lies_in_the_bands_and_one_that_claims_too_much_does_not(tmp_path: Path) -> None:
     frame = consistency(swept(tmp_path, {"fastslam": 1.0, "ekf-slam": 0.6}), times=20)
-    honest, proud = (frame[frame["estimator"] == name] for name in ("fastslam", "ekf-slam"))
-    assert list(honest["time_s"]) == pytest.approx(np.arange(1, 21))
-    assert ((honest["nees"] > honest["nees_low"]) & (honest["nees"] < honest["nees_high"])).mean() >= 0.85
-    assert (proud["nees"] > proud["nees_high"]).all()
-    assert honest["clock_share"].between(0.91, 0.99).all()
-    assert proud["clock_share"].to_numpy() == pytest.approx(0.77, abs=0.09)
-    assert (honest["clocks"] == TRIALS * SITES).all()
-    last = honest.iloc[-1]
+    consistent, confident = (frame[frame["estimator"] == name] for name in ("fastslam", "ekf-slam"))
+    assert list(consistent["time_s"]) == pytest.approx(np.arange(1, 21))
+    assert consistent["nees"].between(consistent["nees_low"], consistent["nees_high"]).mean() >= 0.85
+    assert (confident["nees"] > confident["nees_high"]).all()
+    assert consistent["clock_share"].between(0.91, 0.99).all()
+    assert confident["clock_share"].to_numpy() == pytest.approx(0.77, abs=0.09)
+    assert (consistent["clocks"] == TRIALS * SITES).all()
+    last = consistent.iloc[-1]
     assert (last["vt_low"], last["vt_high"]) == pytest.approx((0.95, 0.95), abs=0.02)
     assert last["vt_low"] < last["vt_share"] < last["vt_high"]
     assert 0.85 * TRIALS * VTS < last["vts"] < 0.95 * TRIALS * VTS
-    assert proud.iloc[-1]["vt_share"] < 0.6 and honest["vt_share"].isna().sum() == 19
+    assert confident.iloc[-1]["vt_share"] < 0.6 and consistent["vt_share"].isna().sum() == 19
     assert nees_band(100) == pytest.approx((1.627, 2.411), abs=1e-3)  # means of chi-square
 
 

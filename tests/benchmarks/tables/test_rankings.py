@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cellslam.benchmarks.tables.rankings import ALL, map_builders, told_apart, verdict_table, verdicts
+from cellslam.benchmarks.tables.rankings import ALL, map_builders, significant_pairs, verdict_table, verdicts
 
 NAMES = ("dead-reckoning", "ekf-slam", "fastslam", "mine:Mine", "oracle-map")
 ORACLES = {"oracle-map"}
@@ -44,10 +44,10 @@ def test_power_is_of_built_in_map_builders_whatever_else_is_there() -> None:
     panels = {"easy": panel(1.0)}
     few = map_builders(panels)
     assert set(few["easy"]["estimator"]) == {"ekf-slam", "fastslam"}
-    # Six pairs of seven trials are not told apart (6 x 2 / 128 is above 5 %), one pair is (2 / 2^8).
-    assert told_apart(verdicts(panels, ORACLES)["easy"]) == "0 of 6 pairs (0 %)"
+    # Six pairs of seven trials do not differ (6 x 2 / 128 is above 5 %), one pair is (2 / 2^8).
+    assert significant_pairs(verdicts(panels, ORACLES)["easy"]) == "0 of 6 pairs (0 %)"
     (alone,) = verdicts(few).values()
-    assert alone.trials == 8 and told_apart(alone) == "1 of 1 pairs (100 %)"
+    assert alone.trials == 8 and significant_pairs(alone) == "1 of 1 pairs (100 %)"
     lines = verdict_table(alone).splitlines()
     assert lines[0] == "| estimator | mean rank | fastslam | ekf-slam |"
     assert lines[2].startswith("| fastslam | 1.00 |  | **-") and lines[3].startswith("| ekf-slam | 2.00 | **")

@@ -181,7 +181,7 @@ def test_any_error_in_the_world_of_any_trial_costs_that_trial(monkeypatch: pytes
 def test_without_truth_there_are_no_scores(toy_recording: Toy) -> None:
     trial = scored(toy_recording(truth=False), Full)
     row = trial.outcomes[0].row
-    assert trial.bound is None and row["status"] == "ok"
+    assert trial.drive.bound is None and row["status"] == "ok"
     assert (row["distance_m"], row["position_rmse_m"], row["bound_position_rmse_m"]) == (None, None, None)
     assert row["realtime_factor"] > 0
 
