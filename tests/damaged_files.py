@@ -12,7 +12,7 @@ import scipy.io
 
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE
-from cellslam.benchmarks.sweeps.trajectories import Trajectory, pack, unpack
+from cellslam.benchmarks.sweeps.trajectories import unpack
 from cellslam.cli.commands.init import _read_geo_file as places
 from cellslam.recordings.importing.importing import import_folder
 from cellslam.scenarios import sweep_points
@@ -26,7 +26,7 @@ from cellslam.sim.rays.exchange import read_sionna
 from cellslam.sim.recording import Recording
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.vt_map import VtMap
-from tests.benchmarks.made_up_sweeps import made_up, plan_of
+from tests.benchmarks.made_up_sweeps import made_up, plan_of, trajectory
 from tests.recordings.test_broken import FILES, made
 from tests.sim.city.test_cityjson import FEATURE, HEAD, HOUSE
 from tests.sim.city.test_osm import Extract, square
@@ -123,8 +123,7 @@ def sound_files(folder: Path) -> dict[str, tuple[Path, Read]]:
     points = [[13.1, 55.7], [13.2, 55.8]]
     geo.write_text(json.dumps({"type": "Feature", "geometry": {"type": "LineString", "coordinates": points}}))
     out["places"] = geo, places
-    columns = {name: np.zeros(9) for name in Trajectory.__dataclass_fields__}
-    (folder / "trajectory.npz").write_bytes(pack(Trajectory(**columns)))
+    (folder / "trajectory.npz").write_bytes(trajectory())
     out["trajectory"] = folder / "trajectory.npz", unpack
     return out
 

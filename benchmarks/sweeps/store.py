@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 from cellslam.benchmarks.scores.metrics import COST_KEYS, METRIC_KEYS, ROW_KEYS
-from cellslam.benchmarks.sweeps.tasks import Plan, Result
+from cellslam.benchmarks.sweeps.tasks import Plan, Result, identity
 from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.sim.errors import InputError
 from cellslam.sim.files import write_durably
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 LOCK, DATABASE = "lock", "results.sqlite"
 TRAJECTORIES = "trajectories"
 SCHEMA = 4
-# Columns beside those of a row: ids of world and options, which process wrote it, and how often it was tried.
-# and the size and SHA-256 of its trajectory, null where it has none.
-OWN_KEYS = ("key", "world", "options", "run", "traceback", "trajectory_bytes", "trajectory_sha256")
+# Columns beside those of a row: ids of world and options, whether its estimator was shown the truth, which process
+# wrote it, size and SHA-256 of its trajectory, null where it has none, and the digest of them all.
+OWN_KEYS = ("key", "world", "options", "oracle", "run", "traceback", "trajectory_bytes", "trajectory_sha256", "digest")
 COLUMNS = (*OWN_KEYS, *ROW_KEYS)
 NETWORK_DISKS = frozenset(
     (
@@ -41,8 +41,17 @@ NETWORK_DISKS = frozenset(
     )
 )
 _KEPT = "what was finished before is kept, and the same command goes on from there"
+_AGAIN = "the command that made them makes them again"
 _NUMBERS = (*METRIC_KEYS, "duration_s", "distance_m", *COST_KEYS)
-_WHOLE = ("trial", "seed", "snapshots", "run", "trajectory_bytes")
+_WHOLE = ("trial", "seed", "snapshots", "oracle", "run", "trajectory_bytes")
+_NOT_IN_DIGEST = ("digest", "run")
+# What others refuse: a lock, the disk, the system. Any other error is one of the database itself.
+_REFUSALS = frozenset(
+    (
+        *(sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_FULL, sqlite3.SQLITE_READONLY),
+        *(sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_NOMEM),
+    )
+)
 # Others may lock the database: a browser of it for as long as somebody types, a backup for a minute.
 LOCK_NOTE_S, LOCK_LIMIT_S = 10.0, 600.0
 Note = Callable[[str], None]
@@ -95,8 +104,8 @@ class Store:
     def write(self, result: Result, world: str, options: str) -> None:
         """Keep a result, replacing an earlier one of the same key: first its trajectory, then its row."""
         row: dict[str, Any] = {
-            "key": result.key, "world": world, "options": options, "run": self.run, "traceback": result.traceback,
-            "trajectory_bytes": None, "trajectory_sha256": None,
+            "key": result.key, "world": world, "options": options, "oracle": result.oracle, "run": self.run,
+            "traceback": result.traceback, "trajectory_bytes": None, "trajectory_sha256": None, "digest": None,
         }  # fmt: skip
         if result.trajectory is not None:
             with _explained(self.folder):
@@ -110,6 +119,8 @@ class Store:
         def insert() -> None:
             with self.database:
                 self.database.execute(f"INSERT OR REPLACE INTO rows ({columns}) VALUES ({marks})", values)
+                (row,) = _rows(self.database, "WHERE key = ?", result.key)  # as the database holds it
+                self.database.execute("UPDATE rows SET digest = ? WHERE key = ?", (_digest(row), result.key))
 
         self._patiently(insert)
 
@@ -140,6 +151,7 @@ def writing(folder: Path, command: str, versions: Mapping[str, str], note: Note 
 
             def begin() -> int:
                 _prepare(folder, database)
+                _remove_damaged(folder, database, note)
                 with database:
                     statement = "INSERT INTO runs (started, host, command, versions) VALUES (?, ?, ?, ?)"
                     return int(database.execute(statement, made).lastrowid or 0)
@@ -242,12 +254,26 @@ def lost_trajectories(folder: Path, database: sqlite3.Connection) -> frozenset[s
     return frozenset(key for key, *known in database.execute(query) if not whole(trajectory_path(folder, key), *known))
 
 
+def check_rows(folder: Path, database: sqlite3.Connection) -> None:
+    """Raise InputError where rows do not hold what was written."""
+    if damaged := damaged_rows(database):
+        raise InputError(f"{folder}: rows that are damaged: {len(damaged)}; {_AGAIN}")
+
+
+def damaged_rows(database: sqlite3.Connection) -> frozenset[str]:
+    """Return the keys of rows that do not hold what was written; of those without a digest nothing is known."""
+    if "digest" not in stored_columns(database):  # made before rows had one
+        return frozenset()
+    return frozenset(row["key"] for row in _rows(database) if row["digest"] not in (None, _digest(row)))
+
+
 def lost_in_words(folder: Path) -> str:
     """Return how many trajectories of a folder cannot be shown, and the remedy; empty where none is lost."""
     with reading(folder) as database:
         lost = lost_trajectories(folder, database)
-    remedy = "they are left out; the command that made them makes them again"
-    return f"{folder}: trajectories that are missing or damaged: {len(lost)}; {remedy}" if lost else ""
+    return (
+        f"{folder}: trajectories that are missing or damaged: {len(lost)}; they are left out; {_AGAIN}" if lost else ""
+    )
 
 
 def _prepare(folder: Path, database: sqlite3.Connection) -> None:
@@ -275,6 +301,29 @@ def _check_version(folder: Path, database: sqlite3.Connection) -> None:
         )
 
 
+def _remove_damaged(folder: Path, database: sqlite3.Connection, note: Note) -> None:
+    """Remove the rows that are damaged, so that they are made again."""
+    if damaged := damaged_rows(database):
+        with database:
+            database.executemany("DELETE FROM rows WHERE key = ?", [(key,) for key in damaged])
+        if damaged_rows(database):  # a damaged key stands where it is not looked for
+            raise sqlite3.DatabaseError("rows in disorder")
+        note(f"{folder}: rows that were damaged, and are removed: {len(damaged)}; {_AGAIN}")
+
+
+def _rows(database: sqlite3.Connection, condition: str = "", *values: str) -> Iterator[dict[str, Any]]:
+    """Yield whole rows by column."""
+    cursor = database.execute(f"SELECT * FROM rows {condition}", values)
+    names = [column[0] for column in cursor.description]
+    return (dict(zip(names, row, strict=True)) for row in cursor)
+
+
+def _digest(row: Mapping[str, Any]) -> str:
+    """Return a digest of what a row holds; a column that is added later changes nothing."""
+    held = {key: value for key, value in row.items() if value is not None and key not in _NOT_IN_DIGEST}
+    return identity(json.dumps(held, sort_keys=True, default=repr))
+
+
 def _sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
@@ -299,8 +348,8 @@ def _explained(folder: Path, verb: str = "written") -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(f"{folder}: results cannot be {verb} ({error.strerror or error}); {_KEPT}") from error
-    except sqlite3.DatabaseError as error:
-        if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+        if getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF not in _REFUSALS:
             raise InputError(
                 f"{folder / DATABASE}: damaged ({error}): 'sqlite3 {folder / DATABASE} .recover' may save rows of it; "
                 "copy the folder again, or give another --out"
