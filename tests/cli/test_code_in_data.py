@@ -97,6 +97,7 @@ def test_a_part_that_a_recording_names_is_not_loaded(
     assert ran()
 
 
+@pytest.mark.slow
 def test_to_show_a_scenario_runs_nothing(ran: Callable[[], bool], cellslam: Run) -> None:
     own = '[estimator."evil:W"]\nevil_option = 3\n[estimator.fastslam]\nassociation = "evil:part"\n'
     Path("place.toml").write_text(f'{WORLD}[radio]\ntechnology = "evil:W"\nfront_end = "signal"\n{own}')
@@ -104,12 +105,15 @@ def test_to_show_a_scenario_runs_nothing(ran: Callable[[], bool], cellslam: Run)
     assert done.status == 0 and not ran()
     assert "evil:part" in done.out and "evil_option" not in done.out
     assert "not loaded, as it is code: radio.technology, estimator.fastslam.association, estimator.evil:W" in done.err
+    for command in (("city", "inspect", "place.toml"), ("init", "place.toml", "--out", "own.toml", "--no-figures")):
+        assert cellslam(*command).status == 0 and not ran()
     assert str(Path.cwd()) not in sys.path[1:]
     Path("place.toml").write_text(WORLD + own)
     done = cellslam("show", "place.toml", "--load", "--quiet")
     assert done.status == 0 and ran() and "estimator.evil:W.evil_option" in done.out, done.err
 
 
+@pytest.mark.slow
 def test_to_look_at_results_runs_nothing(ran: Callable[[], bool], cellslam: Run) -> None:
     def named(task: Task, job: Job) -> dict[str, Any]:
         return {"estimator": "evil:W" if job.oracle else job.estimator, "position_rmse_m": 1.0 + task.trial}

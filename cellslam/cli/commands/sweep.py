@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from cellslam.benchmarks.sweeps.executors import Serial, cores, executor
-from cellslam.benchmarks.sweeps.store import DATABASE, lost_trajectories, reading, writing
+from cellslam.benchmarks.sweeps.store import DATABASE, damaged_rows, lost_trajectories, reading, writing
 from cellslam.benchmarks.sweeps.sweeping import carry_out, pending, seconds_of
 from cellslam.benchmarks.sweeps.tasks import Plan, options_json, plan, world_json
 from cellslam.benchmarks.sweeps.watch import Tally, clock, watching
@@ -127,7 +127,8 @@ def _dry_run(made: Plan, of: str, jobs: int, allowed: Limits, out: Path) -> None
     if (out / DATABASE).is_file():
         with reading(out) as database:
             lost = lost_trajectories(out, database) if any(task.trajectories for task in made.tasks) else ()
-            todo = made.without({key: True for (key,) in database.execute("SELECT key FROM rows") if key not in lost})
+            again = {*lost, *damaged_rows(database)}
+            todo = made.without({key: True for (key,) in database.execute("SELECT key FROM rows") if key not in again})
     print(f"{of}, {_size(made, todo)}")
     with Serial(allowed) as one:
         seconds, parts = seconds_of(todo, one.external)

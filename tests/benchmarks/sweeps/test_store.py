@@ -182,6 +182,25 @@ def test_lost_trajectories_are_noticed_and_made_again(tmp_path: Path) -> None:
     assert store.lost_in_words(tmp_path) == ""  # a row that has none has not lost it
 
 
+def test_a_changed_row_is_noticed_and_made_again(tmp_path: Path) -> None:
+    made, notes = plan_of({}, BOTH, trials=3), list[str]()
+    made_up(tmp_path, made, numbered())
+    changed = keys(made)[1]
+    with closing(sqlite3.connect(tmp_path / store.DATABASE)) as database, database:
+        database.execute("UPDATE rows SET position_rmse_m = 7.0 WHERE key = ?", (changed,))
+    with pytest.raises(InputError, match="rows that are damaged: 1; the command that made them makes them again"):
+        results(tmp_path)
+    with store.writing(tmp_path, "test", {}, notes.append) as again:
+        todo = pending(made, again, retry_failed=False)
+    assert keys(todo) == [changed] and "damaged, and are removed: 1" in notes[0]
+    made_up(tmp_path, todo)
+    assert len(results(tmp_path)) == 6
+    with closing(sqlite3.connect(tmp_path / store.DATABASE)) as database, database:
+        database.execute("UPDATE worlds SET tables = replace(tables, '2660000000', '2670000000')")
+    with pytest.raises(InputError, match="what they were made from cannot be read"):
+        results(tmp_path)
+
+
 def test_a_trajectory_is_on_the_disk_before_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found: list[dict[str, str]] = []
     with store.writing(tmp_path, "test", {}) as open_store:
@@ -261,6 +280,9 @@ def test_trajectories_are_kept_compressed(toy_recording: Callable[..., Recording
     damaged = tmp_path / "damaged.npz"
     damaged.write_bytes(packed[:100])
     with pytest.raises(InputError, match="not a trajectory file"):
+        unpack(damaged)
+    damaged.write_bytes(pack(dataclasses.replace(got, nees=got.nees[1:])))
+    with pytest.raises(InputError, match=r"'nees' has the shape \(39,\)"):
         unpack(damaged)
 
 
