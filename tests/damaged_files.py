@@ -122,8 +122,7 @@ def sound_files(folder: Path) -> dict[str, Sound]:
     out = {f"city{s}": Sound(p, read_city) for s, p in cities(folder / "cities").items()}
     out["city.obj"] = out["city.obj"]._replace(stated=lambda city: city.vertices)
     stated: dict[str, Callable[[Recording], Any]] = {
-        "paths.csv": lambda r: (r.measurements.distance_m, r.measurements.azimuth_rad, r.measurements.snr_db),
-        "wheels.csv": lambda r: r.odometry,
+        "paths.csv": lambda r: (r.measurements.distance_m, r.measurements.snr_db),
         "gnss.csv": lambda r: None if r.reference is None else r.reference.position_m,
     }
     for name in FILES:

@@ -72,7 +72,9 @@ def command(arguments: Namespace) -> int:
             worker.join()
     for kind in sorted({kind for kind, _ in counts}):
         print(f"{kind:24}" + "".join(f"{counts[kind, o]:6d} {o}" for o in (*OUTCOMES, "FAILED")))
-    print(f"{sum(counts.values())} files, {len(failures)} failures")
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = f"{used.ru_utime + used.ru_stime:.0f} s of processor time"
+    print(f"{sum(counts.values())} files, {len(failures)} failures, {spent}")
     return FAILED if failures else DONE
 
 

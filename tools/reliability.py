@@ -30,7 +30,7 @@ from cellslam.cli.main import main
 from tests.benchmarks.sweeps.short_sweeps import rows, start, stored, wait_for, words
 from tests.short_drive import SHORT
 
-TRIALS = 24
+TRIALS = 12
 ESTIMATORS = ("dead-reckoning", "ekf-slam")
 DISK_BYTES = 8 * 2**20
 MOST_FREE_BYTES = 150_000  # that a full disk has left: the largest file written here is of 400 kB
