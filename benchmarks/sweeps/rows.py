@@ -97,12 +97,14 @@ def _settings(database: Connection) -> tuple[list[tuple[str, str, str]], dict[st
     """Return each (estimator, world, options) of the rows, and the value of every scenario key and option for each."""
     pairs = database.execute("SELECT DISTINCT estimator, world, options FROM rows").fetchall()
     try:
-        worlds = {i: json.loads(_whole(i, t)) for i, t in database.execute("SELECT id, tables FROM worlds")}
+        used = "SELECT id, tables FROM worlds WHERE id IN (SELECT world FROM rows)"
+        worlds = {i: json.loads(_whole(i, t)) for i, t in database.execute(used)}
         for world in worlds.values():
             world["map"] = dict(MapConfig()) | world.get("map", {})  # a world says nothing of a map or of one car
             world["scenario"] = world.pop("name")
         flat_worlds = {i: dict(flat(world)) for i, world in worlds.items()}
-        options = {i: json.loads(_whole(i, t)) for i, t in database.execute("SELECT id, tables FROM options")}
+        used = "SELECT id, tables FROM options WHERE id IN (SELECT options FROM rows)"
+        options = {i: json.loads(_whole(i, t)) for i, t in database.execute(used)}
         settings = [
             flat_worlds[world] | dict(flat(options[option] or {}, f"estimator.{estimator}."))
             for estimator, world, option in pairs

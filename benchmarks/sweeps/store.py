@@ -10,15 +10,17 @@ import platform
 import re
 import sqlite3
 import time
+from array import array
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import NoneType
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 from cellslam.benchmarks.scores.metrics import COST_KEYS, METRIC_KEYS, ROW_KEYS
-from cellslam.benchmarks.sweeps.tasks import Plan, Result, identity
+from cellslam.benchmarks.sweeps.tasks import Plan, Result
 from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.sim.errors import InputError
 from cellslam.sim.files import write_durably
@@ -97,7 +99,7 @@ class Store:
         def insert() -> None:
             with self.database:
                 for table, known in (("worlds", plan.worlds), ("options", plan.options)):
-                    self.database.executemany(f"INSERT OR IGNORE INTO {table} VALUES (?, ?)", known.items())
+                    self.database.executemany(f"INSERT OR REPLACE INTO {table} VALUES (?, ?)", known.items())
 
         self._patiently(insert)
 
@@ -319,9 +321,11 @@ def _rows(database: sqlite3.Connection, condition: str = "", *values: str) -> It
 
 
 def _digest(row: Mapping[str, Any]) -> str:
-    """Return a digest of what a row holds; a column that is added later changes nothing."""
-    held = {key: value for key, value in row.items() if value is not None and key not in _NOT_IN_DIGEST}
-    return identity(json.dumps(held, sort_keys=True, default=repr))
+    """Return a digest of what a row holds; a column that is added later, which is null, changes nothing."""
+    numbers = {key: row[key] for key in sorted(row) if type(row[key]) is float}
+    others = [(key, row[key]) for key in sorted(row) if type(row[key]) not in (float, NoneType)]
+    named = repr((list(numbers), [one for one in others if one[0] not in _NOT_IN_DIGEST]))
+    return hashlib.sha256(named.encode("utf-8", "backslashreplace") + array("d", numbers.values())).hexdigest()
 
 
 def _sha256(content: bytes) -> str:
