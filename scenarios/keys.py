@@ -11,7 +11,7 @@ import math
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -117,6 +117,9 @@ def _choices(annotation: Any, alone: bool = True) -> list[str]:
         return [choice for part in parts for choice in part] if any(len(part) for part in parts[1:]) else []
     if annotation is int and not alone:
         return ["an integer"]
+    if get_origin(annotation) is Annotated and not alone:
+        inner = FieldInfo.from_annotation(annotation)
+        return [f"{' '.join(_choices(inner.annotation, alone=False))} {allowed(inner)}"]
     return ["true", "false"] if annotation is bool else []
 
 

@@ -37,7 +37,12 @@ STRANGE: dict[str, tuple[str, Callable[[Path], object], str, str]] = {
     "digits in TOML": ("a.toml", load, f"x = {DIGITS}", "4300 digits"),
     "deep sweep": ("a.toml", sweep_points.read, "scenario = " + "[" * 5000, "nested too deep"),
     "sweep of other bytes": ("a.toml", sweep_points.read, "scenario = '\udcff'", "not a sweep file"),
-    "negative seed of a city": ("a.toml", load, '[city]\nkind = "procedural"\nseed = -1', "city.seed"),
+    "negative seed of a city": (
+        "a.toml",
+        load,
+        '[city]\nkind = "procedural"\nseed = -1',
+        "must be an integer at least 0 or 'trial'",
+    ),
     "deep CityJSON": ("a.json", city, '{"a":' * 100_000, "nested too deep"),
     "index of CityJSON": ("a.json", city, cityjson(2**70), "specification"),
     "OBJ": ("a.obj", city, "v 0 0 0\nv 1e300 0 0\nv 0 9 9\nf 1 2 3\n", "a vertex: 1e\\+300 m cannot be"),
