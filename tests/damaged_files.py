@@ -222,7 +222,7 @@ def read(path: Path, kind: Sound, before: Any) -> str:
         return "the same"
     assert not kind.sealed, "other values, and nobody said so"
     if kind.stated is not None:
-        numerals = re.findall(r"[-+]?[\d_]*\.?[\d_]+(?:[eE][-+]?\d+)?", path.read_text(errors="replace"))
+        numerals = re.findall(r"[-+]?[\d_]*\.?\d[\d_]*(?:[eE][-+]?\d+)?", path.read_text(errors="replace"))
         known = {float(text.replace("_", "")) for text in numerals}
         known |= {float(one) for one in values(kind.stated(before)) if isinstance(one, int | float)}
         for one in values(kind.stated(held)):

@@ -12,6 +12,7 @@ import random
 import resource
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from argparse import ArgumentParser, Namespace
@@ -57,15 +58,16 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def command(arguments: Namespace) -> int:
-    """Print the table as it grows, then what should not have happened."""
-    wrong = []
+    """Print the table as it grows, and on stderr what should not have happened."""
+    wrong = 0
     print(f"| {' | '.join(HEADINGS)} |\n{'|---' * len(HEADINGS)}|", flush=True)
     with tempfile.TemporaryDirectory() as name:
         for one in outcomes(Path(name), arguments, random.Random(arguments.seed)):
             if one.times:
                 print(f"| {one.what} | {one.times} | {one.lost} | {one.seen} |", flush=True)
-            wrong += [f"{one.what}: {text}" for text in one.wrong]
-    print("", *wrong, sep="\n")
+            wrong += len(one.wrong)
+            for text in one.wrong:
+                print(f"{one.what}: {text}", file=sys.stderr, flush=True)
     return FAILED if wrong else DONE
 
 

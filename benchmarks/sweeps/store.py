@@ -339,10 +339,14 @@ def _patiently(action: Callable[[], Answer], folder: Path, note: Note) -> Answer
         try:
             return action()
         except sqlite3.OperationalError as error:
-            busy = error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY  # the last byte is the kind
-            if not busy or time.monotonic() > end:
+            if _kind(error) != sqlite3.SQLITE_BUSY or time.monotonic() > end:
                 raise
         note(f"{folder / DATABASE}: another program locks it; waiting until it lets go")
+
+
+def _kind(error: Exception) -> int:
+    """Return the kind of an error, the last byte of its code; damage, where it is of a text that cannot be decoded."""
+    return int(getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)) & 0xFF
 
 
 @contextmanager
@@ -353,7 +357,7 @@ def _explained(folder: Path, verb: str = "written") -> Iterator[None]:
     except OSError as error:
         raise InputError(f"{folder}: results cannot be {verb} ({error.strerror or error}); {_KEPT}") from error
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
-        if getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF not in _REFUSALS:
+        if _kind(error) not in _REFUSALS:
             raise InputError(
                 f"{folder / DATABASE}: damaged ({error}): 'sqlite3 {folder / DATABASE} .recover' may save rows of it; "
                 "copy the folder again, or give another --out"

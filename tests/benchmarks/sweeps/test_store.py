@@ -196,6 +196,11 @@ def test_a_changed_row_is_noticed_and_made_again(tmp_path: Path) -> None:
     made_up(tmp_path, todo)
     assert len(results(tmp_path)) == 6
     with closing(sqlite3.connect(tmp_path / store.DATABASE)) as database, database:
+        database.execute("UPDATE rows SET error = CAST(x'ff' AS TEXT) WHERE key = ?", (changed,))
+    with pytest.raises(InputError, match="damaged .*recover"), store.writing(tmp_path, "test", {}):
+        raise AssertionError
+    with closing(sqlite3.connect(tmp_path / store.DATABASE)) as database, database:
+        database.execute("UPDATE rows SET error = NULL WHERE key = ?", (changed,))
         database.execute("UPDATE worlds SET tables = replace(tables, '2660000000', '2670000000')")
     with pytest.raises(InputError, match="what they were made from cannot be read"):
         results(tmp_path)
