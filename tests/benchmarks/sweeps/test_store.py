@@ -197,7 +197,7 @@ def test_a_changed_row_is_noticed_and_made_again(tmp_path: Path) -> None:
     assert len(results(tmp_path)) == 6
     with closing(sqlite3.connect(tmp_path / store.DATABASE)) as database, database:
         database.execute("UPDATE rows SET error = CAST(x'ff' AS TEXT) WHERE key = ?", (changed,))
-    with pytest.raises(InputError, match="damaged .*recover"), store.writing(tmp_path, "test", {}):
+    with pytest.raises(InputError, match=r"damaged .*recover"), store.writing(tmp_path, "test", {}):
         raise AssertionError
     with closing(sqlite3.connect(tmp_path / store.DATABASE)) as database, database:
         database.execute("UPDATE rows SET error = NULL WHERE key = ?", (changed,))
