@@ -43,6 +43,7 @@ STRANGE: dict[str, tuple[str, Callable[[Path], object], str, str]] = {
         '[city]\nkind = "procedural"\nseed = -1',
         "must be an integer at least 0 or 'trial'",
     ),
+    "NUL in a name": ("a.toml", load, '[city]\nkind = "mesh"\npath = "a\\u0000.ply"', "city.path .* NUL"),
     "deep CityJSON": ("a.json", city, '{"a":' * 100_000, "nested too deep"),
     "index of CityJSON": ("a.json", city, cityjson(2**70), "specification"),
     "OBJ": ("a.obj", city, "v 0 0 0\nv 1e300 0 0\nv 0 9 9\nf 1 2 3\n", "a vertex: 1e\\+300 m cannot be"),
