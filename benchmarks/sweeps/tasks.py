@@ -231,8 +231,9 @@ def with_contents(text: str) -> str:
     job. One that cannot be read has none; the job says why."""
     parts = [text]
     for name in _named_files(json.loads(text)):
-        with suppress(OSError):
-            parts.append(hashlib.sha256(Path(name).read_bytes()).hexdigest())
+        if Path(name).is_file():  # no device, which may have no end
+            with suppress(OSError):
+                parts.append(hashlib.sha256(Path(name).read_bytes()).hexdigest())
     return "\0".join(parts)
 
 

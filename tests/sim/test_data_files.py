@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
+from cellslam.benchmarks.sweeps.tasks import with_contents
 from cellslam.cli.commands.init import _read_geo_file as places
 from cellslam.recordings.importing.importing import import_folder
 from cellslam.recordings.importing.matlab import variables
@@ -16,6 +17,8 @@ from cellslam.scenarios import load, sweep_points
 from cellslam.sim.city import MeshCityConfig, build_city
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays.exchange import read_sionna
+from cellslam.sim.recording import Recording
+from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.vt_map import _FILE, VtMap
 from tests.recordings.test_broken import made
 
@@ -67,6 +70,14 @@ def test_strange_files_are_one_line(kind: str, tmp_path: Path) -> None:
 def test_what_is_no_file(name: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         load(name)
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="a file without an end")
+@pytest.mark.parametrize("reader", [Recording.load, VtMap.load, Calibration.load])
+def test_what_has_no_end(reader: Callable[[str], object]) -> None:
+    with pytest.raises(InputError, match="/dev/zero.*not a file, but"):
+        reader("/dev/zero")
+    assert with_contents('{"map":{"file":"/dev/zero"}}')
 
 
 @pytest.mark.parametrize(
