@@ -87,8 +87,6 @@ def check(path: Path, accept_changed: bool = False, limit_s: float | None = None
 
     Raises InputError where it was changed since, unless that is accepted, and where the library crashes or never ends.
     """
-    if path.exists() and not path.is_file():
-        raise InputError("not a file, but a folder, a device or a pipe; give the .h5 file itself")  # may have no end
     with path.open("rb") as file:
         block, begin = file.read(USER_BLOCK), file.read(len(_SIGNATURE))
         file.seek(USER_BLOCK)

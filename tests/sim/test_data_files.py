@@ -75,7 +75,7 @@ def test_what_is_no_file(name: str, words: str) -> None:
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="a file without an end")
 @pytest.mark.parametrize("reader", [Recording.load, VtMap.load, Calibration.load])
 def test_what_has_no_end(reader: Callable[[str], object]) -> None:
-    with pytest.raises(InputError, match="/dev/zero.*not a file, but"):
+    with pytest.raises(InputError, match="/dev/zero: no such file"):
         reader("/dev/zero")
     assert with_contents('{"map":{"file":"/dev/zero"}}')
 
