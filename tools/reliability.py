@@ -33,7 +33,7 @@ from tests.short_drive import SHORT
 TRIALS = 6
 ESTIMATORS = ("dead-reckoning", "ekf-slam")
 DISK_BYTES = 8 * 2**20
-MOST_FREE_BYTES = 150_000  # that a full disk has left: the largest file written here is of 400 kB
+FREE_DECADES = (2.0, 5.3)  # a full disk has 100 bytes to 200 kB left: files written here have 4 kB to 5 MB
 KILL_WAIT_ROWS, KILL_WAIT_S = 4, 1.0
 HEADINGS = ("what was done", "times", "lost", "what the user saw")
 Row = dict[str, Any]
@@ -173,7 +173,7 @@ def full_disks(disk: Path, whole: Path, expected: list[Row], times: int, draw: r
             said(*line, "--quiet")
             for _ in range(times):
                 before = contents(disk)
-                with nearly_full(disk, mounted, draw.randrange(MOST_FREE_BYTES)):
+                with nearly_full(disk, mounted, int(10 ** draw.uniform(*FREE_DECADES))):
                     status, _, err = said(*line, "--quiet")
                 after = contents(disk)
                 counts["done" if status == DONE else "one line"] += 1
@@ -190,7 +190,7 @@ def full_disks(disk: Path, whole: Path, expected: list[Row], times: int, draw: r
         for number in range(times):
             out = disk / f"sweep-{number}"
             line = tuple(words(*ESTIMATORS, out=str(out), trials=TRIALS, more=("--executor", "serial")))
-            with nearly_full(disk, mounted, draw.randrange(MOST_FREE_BYTES)):
+            with nearly_full(disk, mounted, int(10 ** draw.uniform(*FREE_DECADES))):
                 status, _, err = said(*line)
                 there = rows(out) if stored(out) else []
             counts["done" if status == DONE else "one line"] += 1
