@@ -65,6 +65,7 @@ def _type(key: str) -> str:
 
 
 _TABLES = f"""
+BEGIN IMMEDIATE;
 CREATE TABLE IF NOT EXISTS worlds (id TEXT PRIMARY KEY, tables TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS options (id TEXT PRIMARY KEY, tables TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS runs (id INTEGER PRIMARY KEY, started TEXT, host TEXT, command TEXT, versions TEXT);
@@ -72,6 +73,7 @@ CREATE TABLE IF NOT EXISTS rows (
     {", ".join(f'"{key}" {_type(key)}' for key in COLUMNS)}, PRIMARY KEY (key)
 ) WITHOUT ROWID;
 PRAGMA user_version = {SCHEMA};
+COMMIT;
 """
 
 
@@ -284,7 +286,7 @@ def _prepare(folder: Path, database: sqlite3.Connection) -> None:
     database.execute("PRAGMA journal_mode = WAL")
     # A killed process loses nothing that was committed; a machine that loses power may lose the last rows.
     database.execute("PRAGMA synchronous = NORMAL")
-    database.executescript(_TABLES)
+    database.executescript(_TABLES)  # all or none: a disk may be full in between
     for key in set(COLUMNS) - stored_columns(database):  # metrics that came after the store was made
         database.execute(f'ALTER TABLE rows ADD COLUMN "{key}" {_type(key)}')
 

@@ -162,6 +162,15 @@ def test_a_full_disk_is_one_line_and_keeps_what_was_finished(tmp_path: Path, mon
         assert full.status()["a"] == "ok" and "c" not in full.status()
 
 
+def test_a_store_that_could_not_be_made_is_begun_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(store, "_TABLES", store._TABLES.replace("EXISTS rows", "EXISTS no table"))
+        with pytest.raises(InputError), store.writing(tmp_path, "test", {}):
+            raise AssertionError
+    with store.writing(tmp_path, "test", {}) as again:
+        assert again.status() == {}
+
+
 def test_lost_trajectories_are_noticed_and_made_again(tmp_path: Path) -> None:
     made = plan_of({}, BOTH, trials=3)
     made_up(tmp_path, made, packed=lambda _, job: job.key.encode() * 9)
