@@ -98,6 +98,7 @@ def kills(folder: Path, expected: list[Row], times: int, draw: random.Random, dr
     """Kill the driver, or a worker, of a sweep at random moments; each driver is followed by the same command."""
     line = words(*ESTIMATORS, out="", trials=TRIALS, more=("--jobs", "2"))
     seen = lost = number = done = 0
+    wrong = list[str]()
     while done < times:
         out, number = folder / f"kills-{driver}-{number}", number + 1
         line[line.index("--out") + 1] = str(out)
@@ -119,11 +120,12 @@ def kills(folder: Path, expected: list[Row], times: int, draw: random.Random, dr
                     lost += sum(row not in kept for row in there) + max(begun - len(kept), 0)
             process.communicate()
         process = start([*line, "--retry-failed"])
-        process.communicate()
+        _, err = process.communicate()
+        wrong += [f"status {process.returncode}: {err}"] if process.returncode else []
         lost += sum(row not in rows(out) for row in expected)
     what = "driver of a sweep killed (SIGKILL), same command again" if driver else "worker of a sweep killed (SIGKILL)"
     note = "goes on from there" if driver else "nothing: what it was at is done again"
-    return Outcome(what, done, f"{lost} of {seen if driver else number * len(expected)} rows", note)
+    return Outcome(what, done, f"{lost} of {seen if driver else number * len(expected)} rows", note, (*wrong,))
 
 
 @contextmanager
