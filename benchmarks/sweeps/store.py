@@ -368,8 +368,10 @@ def _explained(folder: Path, verb: str = "written") -> Iterator[None]:
 
 
 def _replace(file: TextIO, text: str) -> None:
-    """Put `text` in place of what is in the file; a full disk only costs the name of the holder."""
+    """Put `text` in place of what is in the file; a full disk only costs the name of the holder.
+
+    Past the file's buffer, whose rest would be written when the file is closed.
+    """
     with suppress(OSError):
-        file.truncate(0)
-        file.write(text)
-        file.flush()
+        os.ftruncate(file.fileno(), 0)
+        os.write(file.fileno(), text.encode("utf-8", "backslashreplace"))

@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import resource
 import sqlite3
 import subprocess
 import sys
@@ -160,6 +161,16 @@ def test_a_full_disk_is_one_line_and_keeps_what_was_finished(tmp_path: Path, mon
         with pytest.raises(InputError, match="No space left on device"):
             full.write(dataclasses.replace(row("c"), trajectory=b"x"), "w", "o")
         assert full.status()["a"] == "ok" and "c" not in full.status()
+
+
+def test_a_full_disk_costs_the_name_of_the_holder_alone(tmp_path: Path) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
+    try:
+        with only_writer(tmp_path, "test"):
+            pass
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_store_that_could_not_be_made_is_begun_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
