@@ -11,13 +11,13 @@ import math
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from cellslam.sim.errors import InputError
+from cellslam.sim.errors import InputError, one_line
 
 # Unit by the ending of a key, longest first.
 UNITS = {
@@ -117,6 +117,9 @@ def _choices(annotation: Any, alone: bool = True) -> list[str]:
         return [choice for part in parts for choice in part] if any(len(part) for part in parts[1:]) else []
     if annotation is int and not alone:
         return ["an integer"]
+    if get_origin(annotation) is Annotated and not alone:
+        inner = FieldInfo.from_annotation(annotation)
+        return [f"{' '.join(_choices(inner.annotation, alone=False))} {allowed(inner)}"]
     return ["true", "false"] if annotation is bool else []
 
 
@@ -133,7 +136,7 @@ def validate(model: type[Model], data: Mapping[str, Any], prefix: str = "", sugg
     `prefix` stands before every key in messages, `suggest()` are further known keys. Raises InputError
     with the key, the value given, the values allowed and, for an unknown key, the nearest known one.
     """
-    _refuse_not_finite(data, prefix.rstrip("."))
+    _refuse_unfit(data, prefix.rstrip("."))
     try:
         return model.model_validate_json(json.dumps(data, default=_plain), strict=True)
     except ValidationError as error:
@@ -206,15 +209,18 @@ def _locate(loc: tuple[int | str, ...], data: Any, missing: bool) -> tuple[str, 
     return ".".join(parts), data
 
 
-def _refuse_not_finite(value: Any, key: str) -> None:
+def _refuse_unfit(value: Any, key: str) -> None:
+    """Raise InputError for what no key holds: numbers that are not finite, texts with a NUL, as no file's name has."""
     if isinstance(value, Mapping):
         for name, inner in value.items():
-            _refuse_not_finite(inner, f"{key}.{name}".lstrip("."))
+            _refuse_unfit(inner, f"{key}.{name}".lstrip("."))
     elif isinstance(value, list | tuple):
         for index, inner in enumerate(value):
-            _refuse_not_finite(inner, f"{key}.{label(inner, index)}")
+            _refuse_unfit(inner, f"{key}.{label(inner, index)}")
     elif isinstance(value, float) and not math.isfinite(value):
         raise InputError(f"{key} = {value}: must be a finite number")
+    elif isinstance(value, str) and "\0" in value:
+        raise InputError(f"{key} = '{one_line(value, 60)}': holds a NUL character; leave it out")
 
 
 def _plain(value: Any) -> Any:

@@ -136,19 +136,6 @@ def left_out() -> dict[str, str]:
     return out
 
 
-def oracles(asked: Iterable[str]) -> frozenset[str]:
-    """Return those of the estimators that are shown the truth; one that cannot be loaded here is not among them."""
-    known = {entry.name: entry.oracle for entry in BUILT_IN}
-    return frozenset(name for name in asked if (known[name] if name in known else _needs_truth(name)))
-
-
-def _needs_truth(name: str) -> bool:
-    try:
-        return bool(getattr(resolve(name), "requires_truth", False))
-    except InputError:
-        return False
-
-
 def resolve(name: str) -> type[Any]:
     """Return the estimator class called `name`: a known name, or `module:Class`.
 

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import is_dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import scipy.io
+from pydantic import BaseModel
 
-from cellslam.benchmarks.sweeps.rows import results
-from cellslam.benchmarks.sweeps.store import DATABASE
-from cellslam.benchmarks.sweeps.trajectories import Trajectory, pack, unpack
+from cellslam.benchmarks.sweeps.rows import oracles, provenance, results, varying_keys
+from cellslam.benchmarks.sweeps.store import DATABASE, lost_in_words
+from cellslam.benchmarks.sweeps.trajectories import unpack
 from cellslam.cli.commands.init import _read_geo_file as places
 from cellslam.recordings.importing.importing import import_folder
 from cellslam.scenarios import sweep_points
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.recording_origin import Origin
-from cellslam.sim.city import MeshCityConfig, ProceduralCityConfig, build_city
+from cellslam.sim.city import City, MeshCityConfig, ProceduralCityConfig, build_city
 from cellslam.sim.city.files.mitsuba import write_scene
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays import trace
@@ -26,7 +32,7 @@ from cellslam.sim.rays.exchange import read_sionna
 from cellslam.sim.recording import Recording
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.vt_map import VtMap
-from tests.benchmarks.made_up_sweeps import made_up, plan_of
+from tests.benchmarks.made_up_sweeps import made_up, plan_of, trajectory
 from tests.recordings.test_broken import FILES, made
 from tests.sim.city.test_cityjson import FEATURE, HEAD, HOUSE
 from tests.sim.city.test_osm import Extract, square
@@ -41,7 +47,20 @@ STRANGE = (
     b'"', b"\xff\xfe", b"[a.b]\n", b'{"a":' * 3000,
 )  # fmt: skip
 
-Read = Callable[[Path], object]
+Read = Callable[[Path], Any]
+
+
+class Sound(NamedTuple):
+    """A sound file and what reads it.
+
+    `sealed`: whatever changes what is read of it must be refused. `stated` returns those numbers of what is read that
+    stand in the file as they are: where they are others after damage, the file must say so.
+    """
+
+    path: Path
+    read: Read
+    sealed: bool = False
+    stated: Callable[[Any], Any] | None = None
 
 
 def cities(folder: Path) -> dict[str, Path]:
@@ -70,62 +89,82 @@ def cities(folder: Path) -> dict[str, Path]:
     return out
 
 
-def read_city(path: Path) -> None:
+def read_city(path: Path) -> City:
     """Load a city and trace rays in it."""
     city = build_city(MeshCityConfig(path=str(path)), np.random.default_rng(0))
     paths = trace(city, [[5.0, -20.0, 3.0]], [[9.0, -15.0, 1.5]], max_order=2, diffraction=True)
     assert np.isfinite(paths.length_m).all()
     assert np.isfinite(paths.gain).all()
+    return city
 
 
-def read_recording(path: Path) -> None:
+def read_recording(path: Path, changed: bool = False) -> Recording:
     """Load a recording and what it says of its origin."""
-    Origin.of(Recording.load(path), path)
+    recording = Recording.load(path, changed)
+    Origin.of(recording, path)
+    return recording
 
 
-def sound_files(folder: Path) -> dict[str, tuple[Path, Read]]:
-    """Write a sound file of each kind into `folder`; return each with what reads it."""
-    out: dict[str, tuple[Path, Read]] = {f"city{s}": (p, read_city) for s, p in cities(folder / "cities").items()}
+def read_campaign(path: Path) -> Recording:
+    """Import the campaign that a table is of."""
+    return import_folder(path.parent)
+
+
+def read_results(path: Path) -> Any:
+    """Read a folder of results as `table` and `report` do."""
+    rows = results(path.parent)
+    varying_keys(path.parent), provenance(path.parent), lost_in_words(path.parent)
+    return rows, oracles(path.parent)
+
+
+def sound_files(folder: Path) -> dict[str, Sound]:
+    """Write a sound file of each kind into `folder`."""
+    out = {f"city{s}": Sound(p, read_city) for s, p in cities(folder / "cities").items()}
+    out["city.obj"] = out["city.obj"]._replace(stated=lambda city: city.vertices)
+    stated: dict[str, Callable[[Recording], Any]] = {
+        "paths.csv": lambda r: (r.measurements.distance_m, r.measurements.snr_db),
+        "gnss.csv": lambda r: None if r.reference is None else r.reference.position_m,
+    }
     for name in FILES:
         place = made(folder / f"campaign-{name}")
-        out[f"table {name}"] = place / name, lambda path: import_folder(path.parent)
+        out[f"table {name}"] = Sound(place / name, read_campaign, stated=stated.get(name))
     place = made(folder / "campaign-mat")
     manifest = (place / "recording.toml").read_text().replace("gnss.csv", "gnss.mat")
     (place / "recording.toml").write_text(manifest)
     scipy.io.savemat(place / "gnss.mat", {"t": [0.0, 1.0, 2.0], "x": [0.0, 1.0, 2.0], "y": np.zeros(3)})
-    out["table .mat"] = place / "gnss.mat", lambda path: import_folder(path.parent)
+    out["table .mat"] = Sound(place / "gnss.mat", read_campaign)
     recording = folder / "drive.h5"
     import_folder(place).save(recording)
-    out["recording"] = recording, read_recording
+    out["recording"] = Sound(recording, read_recording, sealed=True)
+    out["recording, changed"] = Sound(recording, partial(read_recording, changed=True))
     scenario = folder / "scenario.toml"
     scenario.write_text(
         '[city]\nkind = "procedural"\nseed = 3\nextent_m = 300.0\n[radio]\ndetection_scale = 0.9\n'
         '[[sites]]\nname = "A"\ncells = [{cell_id = 375}]\nposition_m = [10.0, 20.0, 30.0]\n'
         "[estimator.fastslam]\nparticles = 50\n"
     )
-    out["scenario"] = scenario, load
+    out["scenario"] = Sound(scenario, load, stated=lambda scenario: scenario.model_dump())
     sweep = folder / "sweep.toml"
     sweep.write_text(
         'scenario = "tiny"\n[set]\n"radio.clutter_scale" = 2.0\n[grid]\n"vehicle.speed_mps" = [1.0, 2.0]\n'
     )
-    out["sweep"] = sweep, sweep_points.read
+    out["sweep"] = Sound(sweep, sweep_points.read, stated=lambda sweep: sweep)
     drawn(4, np.random.default_rng(0)).save(folder / "map.h5")
-    out["map"] = folder / "map.h5", VtMap.load
+    out["map"] = Sound(folder / "map.h5", VtMap.load, sealed=True)
     size, covariance = np.array([0.2, 0.0, 0.0]), np.array([[0.02, 0.01], [0.01, 0.03]])
     field = size, np.radians(15.0), 1.1, 1.9, np.zeros(2, int), np.array([4, 9]), np.array([0.1, -0.3]), covariance
     Calibration(*field).save(folder / "calibration.h5")
-    out["calibration"] = folder / "calibration.h5", Calibration.load
-    out["paths .npz"] = saved(folder, sionna()), read_sionna
-    plan = plan_of({}, trials=3)
-    made_up(folder / "results", plan)
-    out["results"] = folder / "results" / DATABASE, lambda path: results(path.parent)
+    out["calibration"] = Sound(folder / "calibration.h5", Calibration.load, sealed=True)
+    out["paths .npz"] = Sound(saved(folder, sionna()), read_sionna, sealed=True)
+    plan = plan_of({}, trials=30)
+    made_up(folder / "results", plan, lambda task, _: {"position_rmse_m": 1.5 + task.trial})
+    out["results"] = Sound(folder / "results" / DATABASE, read_results, sealed=True)
     geo = folder / "route.geojson"
     points = [[13.1, 55.7], [13.2, 55.8]]
     geo.write_text(json.dumps({"type": "Feature", "geometry": {"type": "LineString", "coordinates": points}}))
-    out["places"] = geo, places
-    columns = {name: np.zeros(9) for name in Trajectory.__dataclass_fields__}
-    (folder / "trajectory.npz").write_bytes(pack(Trajectory(**columns)))
-    out["trajectory"] = folder / "trajectory.npz", unpack
+    out["places"] = Sound(geo, places, stated=lambda places: places)
+    (folder / "trajectory.npz").write_bytes(trajectory())
+    out["trajectory"] = Sound(folder / "trajectory.npz", unpack, sealed=True)
     return out
 
 
@@ -151,14 +190,44 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(out)
 
 
-def read(path: Path, reader: Read) -> str:
-    """Return "read", or "refused" for an InputError of one line; any other end is an error of the reader."""
+def values(held: Any) -> Iterator[Any]:
+    """Yield every number and text in what was read."""
+    if isinstance(held, pd.DataFrame):
+        held = held.to_dict("list")
+    elif isinstance(held, BaseModel):
+        held = held.model_dump()
+    elif is_dataclass(held):
+        held = vars(held)
+    if isinstance(held, np.ndarray):
+        held = held.tolist()
+    if isinstance(held, dict | list | tuple | set | frozenset):
+        for one in held.items() if isinstance(held, dict) else sorted(held) if isinstance(held, set) else held:
+            yield from values(one)
+    else:
+        yield held
+
+
+def read(path: Path, kind: Sound, before: Any) -> str:
+    """Return what comes of reading a damaged file: "refused", with an InputError of one line; "the same", with the
+    values that were read `before` the damage; or "as it says", with others that a file without a seal states now.
+
+    Any other end is an error of the reader.
+    """
     try:
-        reader(path)
+        held = kind.read(path)
     except InputError as error:
         assert "\n" not in str(error), f"more than a line: {error}"
         return "refused"
-    return "read"
+    if repr([*values(held)]) == repr([*values(before)]):
+        return "the same"
+    assert not kind.sealed, "other values, and nobody said so"
+    if kind.stated is not None:
+        numerals = re.findall(r"[-+]?[\d_]*\.?\d[\d_]*(?:[eE][-+]?\d+)?", path.read_text(errors="replace"))
+        known = {float(text.replace("_", "")) for text in numerals}
+        known |= {float(one) for one in values(kind.stated(before)) if isinstance(one, int | float)}
+        for one in values(kind.stated(held)):
+            assert not isinstance(one, int | float) or one != one or one in known, f"{one} does not stand in the file"
+    return "as it says"
 
 
 def damage_copy(sound: Path, folder: Path, rng: np.random.Generator) -> Path:

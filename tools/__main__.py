@@ -19,6 +19,7 @@ TOOLS = {
     "preset-facts": "what a preset gives, measured with the ray tracer, into its file",
     "supported": "run the tests with each Python, and with the lowest and the newest dependencies",
     "fuzz": "read damaged files of every kind",
+    "reliability": "kill sweeps, fill disks, damage files: what is lost",
     "lines": "count lines of code, room by room",
 }
 

@@ -28,13 +28,12 @@ from cellslam.benchmarks.figures.sweep.sweep_data import (
 from cellslam.benchmarks.report.scene import rounded
 from cellslam.benchmarks.report.worst_trials import Choice, failed_trials, trial_sections, worst_trials
 from cellslam.benchmarks.scores.metrics import METRIC, METRIC_KEYS
-from cellslam.benchmarks.sweeps.rows import provenance
+from cellslam.benchmarks.sweeps.rows import oracles, provenance
 from cellslam.benchmarks.sweeps.store import reading
 from cellslam.benchmarks.tables.formats import Column, columns_of
 from cellslam.benchmarks.tables.rankings import significant_pairs
 from cellslam.benchmarks.tables.summaries import CONFIDENCE, EFFICIENCY, estimate
 from cellslam.sim.progress import Progress
-from cellslam.slam.registry import oracles
 
 MOST_POINTS_OF_CURVES = 400
 MOST_PANELS = 24
@@ -48,7 +47,7 @@ def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
     data = load(folder)
     chosen = worst_trials(data, choice)
     named = {series.label: series.estimator for panel in data.panels for series in panel.series}
-    marked = oracles(set(named.values()))
+    marked = oracles(folder)
     styles = estimator_styles(data.labels)
     scenarios = sorted({str(s) for panel in data.panels for one in panel.series for s in one.rows["scenario"]})
     sections, cities = trial_sections(folder, data, chosen, progress)

@@ -13,14 +13,16 @@ import numpy as np
 
 from cellslam.benchmarks.report.scene import Cities, rounded, scene_of
 from cellslam.benchmarks.scores.metrics import METRIC, METRIC_KEYS
+from cellslam.benchmarks.sweeps.rows import oracles, results
 from cellslam.benchmarks.sweeps.store import reading, trajectory_of
-from cellslam.benchmarks.sweeps.tasks import identity, scenario_of
+from cellslam.benchmarks.sweeps.tasks import identity
 from cellslam.benchmarks.sweeps.trajectories import Trajectory
 from cellslam.benchmarks.tables.summaries import Layout, metrics_of
+from cellslam.scenarios.loading import from_tables
 from cellslam.sim.errors import InputError, unknown_name
+from cellslam.sim.lte.radio_config import is_loaded, load_waveform
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Ints
-from cellslam.slam.registry import oracles
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.figures.sweep.sweep_data import Panel, Series, SweepData
@@ -74,6 +76,13 @@ def worst_trials(data: SweepData, choice: Choice) -> list[Worst]:
     return out
 
 
+def load_waveforms(folder: Path) -> None:
+    """Import the waveforms of their author's own that the worlds of a store name: code. Raises InputError."""
+    for technology in results(folder, ["radio.technology"])["radio.technology"].dropna().unique():
+        if not is_loaded(technology):
+            load_waveform(technology)
+
+
 def failed_trials(folder: Path) -> dict[str, Any]:
     """Return how many rows failed, and the first of them with what was said."""
     keys = ("estimator", "trial", "seed", "error", "traceback")
@@ -91,7 +100,7 @@ def _best(data: SweepData, metric: str) -> list[str]:
         for one in panel.series:
             values.setdefault(one.estimator, []).extend(one.values(metric).tolist())
     medians = {name: float(np.median(v)) for name, v in values.items() if v}
-    marked = {*oracles(medians), "dead-reckoning"}
+    marked = {*oracles(data.folder), "dead-reckoning"}
     plain = {name: value for name, value in medians.items() if name not in marked} or medians
     sign = -1.0 if METRIC[metric].rising else 1.0
     return sorted(plain, key=lambda name: sign * plain[name])[:1]
@@ -202,7 +211,10 @@ def _world(folder: Path, key: str, worst: Worst) -> tuple[World | None, str]:
         query = "SELECT w.tables FROM rows r JOIN worlds w ON w.id = r.world WHERE r.key = ?"
         (text,) = database.execute(query, (key,)).fetchone()
     try:
-        return prepare(scenario_of(text).world, worst.seed, worst.trial), ""
+        scenario = from_tables(json.loads(text), code=False)
+        if not is_loaded(own := scenario.radio.technology):
+            raise InputError(f"its waveform '{own}' is code, which 'report --load' imports")
+        return prepare(scenario.world, worst.seed, worst.trial), ""
     except InputError as error:
         return None, f"The world cannot be made again: {error}."
 

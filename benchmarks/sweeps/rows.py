@@ -9,10 +9,12 @@ from sqlite3 import Connection
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
-from cellslam.benchmarks.sweeps.store import reading, stored_columns
+from cellslam.benchmarks.sweeps.store import check_rows, reading, stored_columns
+from cellslam.benchmarks.sweeps.tasks import identity
 from cellslam.scenarios.keys import label, nearest_key
 from cellslam.scenarios.scenario import MapConfig
 from cellslam.sim.errors import InputError, one_line
+from cellslam.slam.registry import BUILT_IN
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,6 +33,7 @@ def results(folder: str | Path, keys: Sequence[str] | None = None) -> pd.DataFra
     import pandas as pd
 
     with reading(Path(folder)) as database:
+        check_rows(Path(folder), database)
         pairs, columns = _settings(database)
         wanted = _wanted(keys, columns)
         plain = ["key", "estimator", "world", "options", "seed", "trial", *(k for k in ROW_KEYS if k in wanted)]
@@ -47,6 +50,15 @@ def results(folder: str | Path, keys: Sequence[str] | None = None) -> pd.DataFra
     order = [name for name in ("scenario", *settings) if name in frame and _sortable(columns.get(name, ()))]
     frame = frame.sort_values([*order, "estimator", "options", "seed", "trial"], kind="stable", ignore_index=True)
     return frame[["key", *wanted]] if keys is None else frame[list(wanted)]
+
+
+def oracles(folder: Path) -> frozenset[str]:
+    """Return the estimators of a store that were shown the truth, as its rows say: none is loaded for that."""
+    known = {entry.name for entry in BUILT_IN if entry.oracle}
+    with reading(folder) as database:
+        if "oracle" in stored_columns(database):  # not in stores made before rows said so
+            known |= {name for (name,) in database.execute("SELECT DISTINCT estimator FROM rows WHERE oracle")}
+    return frozenset(known)
 
 
 def varying_keys(folder: str | Path) -> list[str]:
@@ -73,19 +85,26 @@ def provenance(folder: Path) -> list[dict[str, Any]]:
     """Return the commands that wrote into a sweep's folder: when, where, with which versions."""
     with reading(folder) as database:
         rows = database.execute("SELECT started, host, command, versions FROM runs ORDER BY id").fetchall()
-    return [{"started": s, "host": h, "command": c, "versions": json.loads(v)} for s, h, c, v in rows]
+    try:
+        return [{"started": s, "host": h, "command": c, "versions": json.loads(v)} for s, h, c, v in rows]
+    except (ValueError, TypeError) as error:
+        raise InputError(
+            f"{folder}: damaged: what wrote the results cannot be read ({one_line(error, 160)})"
+        ) from error
 
 
 def _settings(database: Connection) -> tuple[list[tuple[str, str, str]], dict[str, list[Any]]]:
     """Return each (estimator, world, options) of the rows, and the value of every scenario key and option for each."""
     pairs = database.execute("SELECT DISTINCT estimator, world, options FROM rows").fetchall()
     try:
-        worlds = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM worlds")}
+        used = "SELECT id, tables FROM worlds WHERE id IN (SELECT world FROM rows)"
+        worlds = {i: json.loads(_whole(i, t)) for i, t in database.execute(used)}
         for world in worlds.values():
             world["map"] = dict(MapConfig()) | world.get("map", {})  # a world says nothing of a map or of one car
             world["scenario"] = world.pop("name")
         flat_worlds = {i: dict(flat(world)) for i, world in worlds.items()}
-        options = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM options")}
+        used = "SELECT id, tables FROM options WHERE id IN (SELECT options FROM rows)"
+        options = {i: json.loads(_whole(i, t)) for i, t in database.execute(used)}
         settings = [
             flat_worlds[world] | dict(flat(options[option] or {}, f"estimator.{estimator}."))
             for estimator, world, option in pairs
@@ -95,6 +114,13 @@ def _settings(database: Connection) -> tuple[list[tuple[str, str, str]], dict[st
         raise InputError(f"the results are damaged: what they were made from cannot be read ({what})") from error
     known = dict.fromkeys(key for setting in settings for key in setting)
     return pairs, {key: [_scalar(setting.get(key)) for setting in settings] for key in known}
+
+
+def _whole(name: str, tables: str) -> str:
+    """Return the text of a world or of options. Raises ValueError where it is not the one that its id is of."""
+    if identity(tables) != name:
+        raise ValueError(f"'{name}' is not the digest of its tables")
+    return tables
 
 
 def _wanted(keys: Sequence[str] | None, columns: Mapping[str, Sequence[Any]]) -> list[str]:

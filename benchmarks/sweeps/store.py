@@ -16,12 +16,14 @@ import re
 import secrets
 import sqlite3
 import time
+from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from fnmatch import fnmatch
 from pathlib import Path
+from types import NoneType
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 from cellslam.benchmarks.scores.metrics import COST_KEYS, METRIC_KEYS, ROW_KEYS
@@ -38,9 +40,9 @@ SHARD, RUN = "shard-*-of-*", "run-*.sqlite"  # patterns: folder of a shard, data
 CHECKPOINT_S = 60.0  # between copies: what a killed run of a shard loses, against milliseconds a copy
 TRAJECTORIES = "trajectories"
 SCHEMA = 4
-# Columns beside those of a row: ids of world and options, which process wrote it, and how often it was tried.
-# and the size and SHA-256 of its trajectory, null where it has none.
-OWN_KEYS = ("key", "world", "options", "run", "traceback", "trajectory_bytes", "trajectory_sha256")
+# Columns beside those of a row: ids of world and options, whether its estimator was shown the truth, which process
+# wrote it, size and SHA-256 of its trajectory, null where it has none, and the digest of them all.
+OWN_KEYS = ("key", "world", "options", "oracle", "run", "traceback", "trajectory_bytes", "trajectory_sha256", "digest")
 COLUMNS = (*OWN_KEYS, *ROW_KEYS)
 NETWORK_DISKS = frozenset(
     (
@@ -50,8 +52,17 @@ NETWORK_DISKS = frozenset(
     )
 )
 _KEPT = "what was finished before is kept, and the same command goes on from there"
+_AGAIN = "the command that made them makes them again"
 _NUMBERS = (*METRIC_KEYS, "duration_s", "distance_m", *COST_KEYS)
-_WHOLE = ("trial", "seed", "snapshots", "run", "trajectory_bytes")
+_WHOLE = ("trial", "seed", "snapshots", "oracle", "run", "trajectory_bytes")
+_NOT_IN_DIGEST = ("digest", "run")
+# What others refuse: a lock, the disk, the system. Any other error is one of the database itself.
+_REFUSALS = frozenset(
+    (
+        *(sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_FULL, sqlite3.SQLITE_READONLY),
+        *(sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_NOMEM),
+    )
+)
 # Others may lock the database: a browser of it for as long as somebody types, a backup for a minute.
 LOCK_NOTE_S, LOCK_LIMIT_S = 10.0, 600.0
 Note = Callable[[str], None]
@@ -63,6 +74,7 @@ def _type(key: str) -> str:
 
 
 _TABLES = f"""
+BEGIN IMMEDIATE;
 CREATE TABLE IF NOT EXISTS worlds (id TEXT PRIMARY KEY, tables TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS options (id TEXT PRIMARY KEY, tables TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS runs (id INTEGER PRIMARY KEY, started TEXT, host TEXT, command TEXT, versions TEXT);
@@ -70,6 +82,7 @@ CREATE TABLE IF NOT EXISTS rows (
     {", ".join(f'"{key}" {_type(key)}' for key in COLUMNS)}, PRIMARY KEY (key)
 ) WITHOUT ROWID;
 PRAGMA user_version = {SCHEMA};
+COMMIT;
 """
 
 
@@ -93,15 +106,15 @@ class Store:
         def insert() -> None:
             with self.database:
                 for table, known in (("worlds", plan.worlds), ("options", plan.options)):
-                    self.database.executemany(f"INSERT OR IGNORE INTO {table} VALUES (?, ?)", known.items())
+                    self.database.executemany(f"INSERT OR REPLACE INTO {table} VALUES (?, ?)", known.items())
 
         self._patiently(insert)
 
     def write(self, result: Result, world: str, options: str) -> None:
         """Keep a result, replacing an earlier one of the same key: first its trajectory, then its row."""
         row: dict[str, Any] = {
-            "key": result.key, "world": world, "options": options, "run": self.run, "traceback": result.traceback,
-            "trajectory_bytes": None, "trajectory_sha256": None,
+            "key": result.key, "world": world, "options": options, "oracle": result.oracle, "run": self.run,
+            "traceback": result.traceback, "trajectory_bytes": None, "trajectory_sha256": None, "digest": None,
         }  # fmt: skip
         if result.trajectory is not None:
             with _explained(self.folder):
@@ -115,6 +128,8 @@ class Store:
         def insert() -> None:
             with self.database:
                 self.database.execute(f"INSERT OR REPLACE INTO rows ({columns}) VALUES ({marks})", values)
+                (row,) = _rows(self.database, "rows WHERE key = ?", result.key)  # as the database holds it
+                self.database.execute("UPDATE rows SET digest = ? WHERE key = ?", (_digest(row), result.key))
 
         self._patiently(insert)
         if time.monotonic() - self.copied_s > CHECKPOINT_S:
@@ -150,7 +165,7 @@ def writing(folder: Path, command: str, versions: Mapping[str, str], note: Note 
     with only_writer(folder, command), _explained(folder):
         database = sqlite3.connect(folder / DATABASE, timeout=LOCK_NOTE_S)
         with closing(database):
-            run = _patiently(lambda: _begin(folder, database, command, versions), folder, note)
+            run = _patiently(lambda: _begin(folder, database, command, versions, note), folder, note)
             yield Store(folder, database, run, note)
 
 
@@ -166,7 +181,7 @@ def writing_shard(folder: Path, number: int, count: int, command: str, versions:
     with _explained(folder):
         place.mkdir(parents=True, exist_ok=True)
     with closing(sqlite3.connect(":memory:")) as database:
-        run = _begin(folder, database, command, versions)
+        run = _begin(folder, database, command, versions, _silent)
         name = f"run-{time.strftime('%Y%m%dT%H%M%S')}-{secrets.token_hex(4)}.sqlite"
         store = Store(folder, database, run, _silent, place / name)
         store.checkpoint()
@@ -254,11 +269,12 @@ def reading(folder: Path) -> Iterator[sqlite3.Connection]:
 
 
 def statuses(folder: Path) -> dict[str, str]:
-    """Return the status of every key that is stored in `folder`. Raises InputError."""
+    """Return the status of every key that is stored in `folder`, damaged rows aside. Raises InputError."""
     if not databases(folder):
         return {}
     with reading(folder) as database:
-        return dict(database.execute("SELECT key, status FROM rows"))
+        damaged = damaged_rows(database)
+        return {key: of for key, of in database.execute("SELECT key, status FROM rows") if key not in damaged}
 
 
 def rows_per_s(folder: Path) -> float:
@@ -313,12 +329,27 @@ def lost_trajectories(
     return frozenset(key for key, *known in kept if not whole(trajectory_path(folder, key), *known))
 
 
+def check_rows(folder: Path, database: sqlite3.Connection) -> None:
+    """Raise InputError where rows do not hold what was written."""
+    if damaged := damaged_rows(database):
+        raise InputError(f"{folder}: rows that are damaged: {len(damaged)}; {_AGAIN}")
+
+
+def damaged_rows(database: sqlite3.Connection, schema: str = "") -> frozenset[str]:
+    """Return the keys of rows that do not hold what was written; of those without a digest nothing is known."""
+    if "digest" not in stored_columns(database, schema):  # made before rows had one
+        return frozenset()
+    whole = _rows(database, f"{schema}rows")
+    return frozenset(row["key"] for row in whole if row["digest"] not in (None, _digest(row)))
+
+
 def lost_in_words(folder: Path) -> str:
     """Return how many trajectories of a folder cannot be shown, and the remedy; empty where none is lost."""
     with reading(folder) as database:
         lost = lost_trajectories(folder, database)
-    remedy = "they are left out; the command that made them makes them again"
-    return f"{folder}: trajectories that are missing or damaged: {len(lost)}; {remedy}" if lost else ""
+    return (
+        f"{folder}: trajectories that are missing or damaged: {len(lost)}; they are left out; {_AGAIN}" if lost else ""
+    )
 
 
 def _prepare(folder: Path, database: sqlite3.Connection) -> None:
@@ -327,14 +358,17 @@ def _prepare(folder: Path, database: sqlite3.Connection) -> None:
     database.execute("PRAGMA journal_mode = WAL")
     # A killed process loses nothing that was committed; a machine that loses power may lose the last rows.
     database.execute("PRAGMA synchronous = NORMAL")
-    database.executescript(_TABLES)
+    database.executescript(_TABLES)  # all or none: a disk may be full in between
     for key in set(COLUMNS) - stored_columns(database):  # metrics that came after the store was made
         database.execute(f'ALTER TABLE rows ADD COLUMN "{key}" {_type(key)}')
 
 
-def _begin(folder: Path, database: sqlite3.Connection, command: str, versions: Mapping[str, str]) -> int:
+def _begin(
+    folder: Path, database: sqlite3.Connection, command: str, versions: Mapping[str, str], note: Note
+) -> int:
     """Make ready a database that is written, and return the number of this run in it."""
     _prepare(folder, database)
+    _remove_damaged(folder, database, note)
     made = (time.strftime("%F %T%z"), platform.node(), _storable(command), json.dumps(dict(versions)))
     with database:
         statement = "INSERT INTO runs (started, host, command, versions) VALUES (?, ?, ?, ?)"
@@ -363,13 +397,15 @@ def _unite(database: sqlite3.Connection, files: Sequence[Path]) -> None:
 
 
 def _take_over(database: sqlite3.Connection, file: Path) -> None:
-    """Insert what the attached database `more` has."""
+    """Insert what the attached database `more` has, damaged rows aside."""
+    database.create_function("is_damaged", 1, damaged_rows(database, "more.").__contains__)
+    whole = "(SELECT * FROM more.rows WHERE NOT is_damaged(key))"
     columns = sorted(stored_columns(database, "more.") & {*COLUMNS})
     differing = " OR ".join(
         f'own."{key}" IS NOT other."{key}"' for key in columns if key in ROW_KEYS and key not in COST_KEYS
     )
     found = database.execute(
-        "SELECT own.estimator, own.scenario, own.trial FROM more.rows AS other JOIN rows AS own USING (key) "
+        f"SELECT own.estimator, own.scenario, own.trial FROM {whole} AS other JOIN rows AS own USING (key) "
         f"WHERE own.status = 'ok' AND other.status = 'ok' AND ({differing})"
     ).fetchone()
     if found:
@@ -381,11 +417,11 @@ def _take_over(database: sqlite3.Connection, file: Path) -> None:
         database.execute(f"INSERT OR IGNORE INTO {table} SELECT * FROM more.{table}")
     run = "started, host, command, versions"
     database.execute(f"INSERT INTO runs ({run}) SELECT {run} FROM more.runs EXCEPT SELECT {run} FROM runs")
-    database.execute("DELETE FROM rows WHERE status <> 'ok' AND key IN (SELECT key FROM more.rows)")
+    database.execute(f"DELETE FROM rows WHERE status <> 'ok' AND key IN (SELECT key FROM {whole})")
     names = ", ".join(f'"{key}"' for key in columns)
     values = ", ".join("here.id" if key == "run" else f'other."{key}"' for key in columns)
     database.execute(
-        f"INSERT OR IGNORE INTO rows ({names}) SELECT {values} FROM more.rows AS other "
+        f"INSERT OR IGNORE INTO rows ({names}) SELECT {values} FROM {whole} AS other "
         f"LEFT JOIN more.runs AS there ON there.id = other.run LEFT JOIN runs AS here USING ({run})"
     )
 
@@ -404,6 +440,31 @@ def _check_version(file: Path, database: sqlite3.Connection, schema: str = "") -
         )
 
 
+def _remove_damaged(folder: Path, database: sqlite3.Connection, note: Note) -> None:
+    """Remove the rows that are damaged, so that they are made again."""
+    if damaged := damaged_rows(database):
+        with database:
+            database.executemany("DELETE FROM rows WHERE key = ?", [(key,) for key in damaged])
+        if damaged_rows(database):  # a damaged key stands where it is not looked for
+            raise sqlite3.DatabaseError("rows in disorder")
+        note(f"{folder}: rows that were damaged, and are removed: {len(damaged)}; {_AGAIN}")
+
+
+def _rows(database: sqlite3.Connection, table: str, *values: str) -> Iterator[dict[str, Any]]:
+    """Yield whole rows of a table, or of what a condition leaves of it, by column."""
+    cursor = database.execute(f"SELECT * FROM {table}", values)
+    names = [column[0] for column in cursor.description]
+    return (dict(zip(names, row, strict=True)) for row in cursor)
+
+
+def _digest(row: Mapping[str, Any]) -> str:
+    """Return a digest of what a row holds; a column that is added later, which is null, changes nothing."""
+    numbers = {key: row[key] for key in sorted(row) if type(row[key]) is float}
+    others = [(key, row[key]) for key in sorted(row) if type(row[key]) not in (float, NoneType)]
+    named = repr((list(numbers), [one for one in others if one[0] not in _NOT_IN_DIGEST]))
+    return hashlib.sha256(named.encode("utf-8", "backslashreplace") + array("d", numbers.values())).hexdigest()
+
+
 def _sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
@@ -415,10 +476,14 @@ def _patiently(action: Callable[[], Answer], folder: Path, note: Note) -> Answer
         try:
             return action()
         except sqlite3.OperationalError as error:
-            busy = error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY  # the last byte is the kind
-            if not busy or time.monotonic() > end:
+            if _kind(error) != sqlite3.SQLITE_BUSY or time.monotonic() > end:
                 raise
         note(f"{folder / DATABASE}: another program locks it; waiting until it lets go")
+
+
+def _kind(error: Exception) -> int:
+    """Return the kind of an error, the last byte of its code; damage, where it is of a text that cannot be decoded."""
+    return int(getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)) & 0xFF
 
 
 @contextmanager
@@ -428,8 +493,8 @@ def _explained(folder: Path, verb: str = "written", name: str = DATABASE) -> Ite
         yield
     except OSError as error:
         raise InputError(f"{folder}: results cannot be {verb} ({error.strerror or error}); {_KEPT}") from error
-    except sqlite3.DatabaseError as error:
-        if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+        if _kind(error) not in _REFUSALS:
             raise InputError(
                 f"{folder / name}: damaged ({error}): 'sqlite3 {folder / name} .recover' may save rows of it; "
                 "copy the folder again, or give another --out"
@@ -438,8 +503,10 @@ def _explained(folder: Path, verb: str = "written", name: str = DATABASE) -> Ite
 
 
 def _replace(file: TextIO, text: str) -> None:
-    """Put `text` in place of what is in the file; a full disk only costs the name of the holder."""
+    """Put `text` in place of what is in the file; a full disk only costs the name of the holder.
+
+    Past the file's buffer, whose rest would be written when the file is closed.
+    """
     with suppress(OSError):
-        file.truncate(0)
-        file.write(text)
-        file.flush()
+        os.ftruncate(file.fileno(), 0)
+        os.write(file.fileno(), text.encode("utf-8", "backslashreplace"))

@@ -149,7 +149,7 @@ def _given_up(first: Lost, second: Lost) -> Result:
     again = "alone it was lost again" if second.reason == first.reason else f"alone: {second.reason}"
     task, job = first.task, first.job
     row = failed_row(name_of(task.world), job.estimator, task.trial, task.seed, f"{first.reason}; {again}")
-    return Result(job.key, row, second.details or first.details)
+    return Result(job.key, row, second.details or first.details, oracle=job.oracle)
 
 
 def _compile(task: Task, external: ExternalProcesses) -> None:

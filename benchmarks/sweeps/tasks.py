@@ -69,12 +69,14 @@ class Began:
 
 @dataclass(frozen=True)
 class Result:
-    """What a job gave: its row, the traceback if it failed, and its compressed trajectory (None: none)."""
+    """What a job gave: its row, the traceback if it failed, its compressed trajectory (None: none), and whether its
+    estimator was shown the truth."""
 
     key: str
     row: Mapping[str, Any]
     traceback: str = ""
     trajectory: bytes | None = None
+    oracle: bool = False
 
 
 @dataclass(frozen=True)
@@ -221,7 +223,7 @@ def result_of(task: Task, job: Job, drive: Drive, outcome: Outcome) -> Result:
     if task.trajectories and drive.recording is not None and outcome.result is not None:
         packed = pack(trajectory(drive.recording, outcome.result, drive.bound))
     note = f"without the bound: {drive.unbound}" if drive.unbound else ""
-    return Result(job.key, outcome.row, outcome.traceback or note, packed)
+    return Result(job.key, outcome.row, outcome.traceback or note, packed, job.oracle)
 
 
 def with_contents(text: str) -> str:
@@ -229,8 +231,9 @@ def with_contents(text: str) -> str:
     job. One that cannot be read has none; the job says why."""
     parts = [text]
     for name in _named_files(json.loads(text)):
-        with suppress(OSError):
-            parts.append(hashlib.sha256(Path(name).read_bytes()).hexdigest())
+        if Path(name).is_file():  # no device, which may have no end
+            with suppress(OSError):
+                parts.append(hashlib.sha256(Path(name).read_bytes()).hexdigest())
     return "\0".join(parts)
 
 

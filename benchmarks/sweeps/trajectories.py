@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,11 @@ if TYPE_CHECKING:
     from cellslam.sim.recording import Floats, Recording
 
 Singles = NDArray[np.float32]
+# Sizes of the columns: T snapshots, S sites, V final VTs.
+SHAPES = {
+    "time_s": "T", "poses": "T6", "error_m": "T", "nees": "T", "std_m": "T", "bound_std_m": "T", "offset_error_m": "TS",
+    "offset_std_m": "TS", "vt_m": "V3", "vt_link": "V", "vt_first": "V", "vt_nees": "V",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -83,9 +89,22 @@ def unpack(path: Path) -> Trajectory:
     """Return the trajectory of a file. Raises InputError when it cannot be read."""
     try:
         held = arrays_of(path)
-        return Trajectory(**{name: held[name] for name in Trajectory.__dataclass_fields__})
+        _check_shapes(held)
+        return Trajectory(**{name: held[name] for name in SHAPES})
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path}: not a trajectory file ({' '.join(str(error).split())})") from error
+
+
+def _check_shapes(held: Mapping[str, NDArray[Any]]) -> None:
+    """Raise ValueError unless columns are numbers, and each empty or of the size of the others."""
+    sizes = {"3": 3, "6": 6}
+    for name, letters in SHAPES.items():
+        column = held[name]
+        fits = len(letters) == column.ndim and all(
+            sizes.setdefault(x, n) == n for x, n in zip(letters, column.shape, strict=True)
+        )
+        if column.dtype.kind not in "fiu" or (not fits if column.size else name == "time_s"):
+            raise ValueError(f"its column '{name}' has the shape {column.shape}, of {column.dtype}")
 
 
 def _vt_nees(recording: Recording, result: TrialResult) -> Floats:

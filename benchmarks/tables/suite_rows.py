@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.scores.statistics import plain
-from cellslam.benchmarks.sweeps.rows import provenance, results
+from cellslam.benchmarks.sweeps.rows import oracles, provenance, results
 from cellslam.scenarios.suites import Suite, digest, suite
 from cellslam.sim.data_files import json_of, text_of
 from cellslam.sim.errors import InputError
-from cellslam.slam.registry import oracles
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -52,7 +51,7 @@ def stored(folder: Path, one: Suite, scenarios: Sequence[str], trials: int, keys
     rows = results(folder, COLUMNS)
     rows = rows[rows["key"].isin(keys)]
     versions = provenance(folder)[-1]["versions"]
-    marked = oracles(rows["estimator"].unique())
+    marked = oracles(folder) & {*rows["estimator"]}
     return SuiteRows(one, tuple(scenarios), trials, versions, platform.machine(), marked, rows)
 
 

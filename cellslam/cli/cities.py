@@ -48,7 +48,7 @@ def find_city(name: str, **options: Any) -> City:
 
         if given:
             raise InputError(f"{', '.join(given)}: options of meshes; '{name}' is a scenario, which says it all")
-        scenario = load(name)
+        scenario = load(name, code=False)
         return build_city(scenario.city, city_rng(scenario.world, 0, 0))
     return build_city(validate(MeshCityConfig, {"path": name, **given}), np.random.default_rng(0))
 

@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from cellslam.cli.arguments import DONE, INTERRUPTED, WRONG
-from cellslam.sim.errors import InputError, nearest_name
+from cellslam.sim.errors import InputError, nearest_name, one_line
 
 # All commands by what they are for, each with one line about it. The first of two words is the name of a group, which
 # the title of its section describes.
@@ -117,7 +117,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         if "--verbose" in words:
             traceback.print_exc()
-        sys.stderr.write(f"cellslam: {error}\n")
+        sys.stderr.write(f"cellslam: {one_line(error)}\n")  # what a file says cannot steer the terminal
         return WRONG
     except KeyboardInterrupt:
         sys.stderr.write("cellslam: interrupted\n")

@@ -70,7 +70,7 @@ def load(path: Path, make: Callable[..., Kind], accept_changed: bool = False) ->
     """
     if path.is_dir():
         raise InputError(f"{path} is a folder; give the .h5 file of a recording")
-    if not path.exists():
+    if not path.is_file():  # a device may have no end
         raise InputError(f"{path}: no such file; 'cellslam record' writes recordings")
     try:
         with damage.opened(path, accept_changed) as file:

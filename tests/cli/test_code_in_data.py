@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,11 +13,13 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.bound.persisting_states import radio_of
+from cellslam.benchmarks.sweeps.tasks import Job, Plan, Task, canonical, identity
 from cellslam.recordings.fitting.assumptions import assumed
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
+from tests.benchmarks.made_up_sweeps import made_up, plan_of, trajectory
 from tests.command_line import Run, refused
 
 EVIL = """
@@ -94,6 +97,7 @@ def test_a_part_that_a_recording_names_is_not_loaded(
     assert ran()
 
 
+@pytest.mark.slow
 def test_to_show_a_scenario_runs_nothing(ran: Callable[[], bool], cellslam: Run) -> None:
     own = '[estimator."evil:W"]\nevil_option = 3\n[estimator.fastslam]\nassociation = "evil:part"\n'
     Path("place.toml").write_text(f'{WORLD}[radio]\ntechnology = "evil:W"\nfront_end = "signal"\n{own}')
@@ -101,7 +105,31 @@ def test_to_show_a_scenario_runs_nothing(ran: Callable[[], bool], cellslam: Run)
     assert done.status == 0 and not ran()
     assert "evil:part" in done.out and "evil_option" not in done.out
     assert "not loaded, as it is code: radio.technology, estimator.fastslam.association, estimator.evil:W" in done.err
+    for command in (("city", "inspect", "place.toml"), ("init", "place.toml", "--out", "own.toml", "--no-figures")):
+        assert cellslam(*command).status == 0 and not ran()
     assert str(Path.cwd()) not in sys.path[1:]
     Path("place.toml").write_text(WORLD + own)
     done = cellslam("show", "place.toml", "--load", "--quiet")
     assert done.status == 0 and ran() and "estimator.evil:W.evil_option" in done.out, done.err
+
+
+@pytest.mark.slow
+def test_to_look_at_results_runs_nothing(ran: Callable[[], bool], cellslam: Run) -> None:
+    def named(task: Task, job: Job) -> dict[str, Any]:
+        return {"estimator": "evil:W" if job.oracle else job.estimator, "position_rmse_m": 1.0 + task.trial}
+
+    plan = plan_of({}, ("dead-reckoning", "oracle-map"), trials=3)
+    world = json.loads(plan.tasks[0].world)
+    world["radio"] |= {"technology": "evil:W", "front_end": "signal"}
+    text = canonical(world)
+    tasks = tuple(replace(task, world=text) for task in plan.tasks)
+    own = Plan(tasks, {identity(text): text}, plan.options)
+    made_up(Path("results"), own, named, lambda *_: trajectory())
+    for command in ("table", "consistency", "figures", "report"):
+        done = cellslam(command, "results", *(("--rows", "estimator") if command == "table" else ()))
+        assert done.status == 0, done.err
+        assert "evil:W (oracle)" in done.out or command in ("figures", "report")
+    assert not ran() and str(Path.cwd()) not in sys.path[1:]
+    assert "its waveform 'evil:W' is code, which 'report --load' imports" in Path("results/report.html").read_text()
+    cellslam("report", "results", "--load")
+    assert ran() and "radio.technology 'evil:W' cannot be made" in Path("results/report.html").read_text()

@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
+from cellslam.benchmarks.sweeps.tasks import with_contents
 from cellslam.cli.commands.init import _read_geo_file as places
 from cellslam.recordings.importing.importing import import_folder
 from cellslam.recordings.importing.matlab import variables
@@ -16,6 +17,8 @@ from cellslam.scenarios import load, sweep_points
 from cellslam.sim.city import MeshCityConfig, build_city
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays.exchange import read_sionna
+from cellslam.sim.recording import Recording
+from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.vt_map import _FILE, VtMap
 from tests.recordings.test_broken import made
 
@@ -37,7 +40,13 @@ STRANGE: dict[str, tuple[str, Callable[[Path], object], str, str]] = {
     "digits in TOML": ("a.toml", load, f"x = {DIGITS}", "4300 digits"),
     "deep sweep": ("a.toml", sweep_points.read, "scenario = " + "[" * 5000, "nested too deep"),
     "sweep of other bytes": ("a.toml", sweep_points.read, "scenario = '\udcff'", "not a sweep file"),
-    "negative seed of a city": ("a.toml", load, '[city]\nkind = "procedural"\nseed = -1', "city.seed"),
+    "negative seed of a city": (
+        "a.toml",
+        load,
+        '[city]\nkind = "procedural"\nseed = -1',
+        "must be an integer at least 0 or 'trial'",
+    ),
+    "NUL in a name": ("a.toml", load, '[city]\nkind = "mesh"\npath = "a\\u0000.ply"', "city.path .* NUL"),
     "deep CityJSON": ("a.json", city, '{"a":' * 100_000, "nested too deep"),
     "index of CityJSON": ("a.json", city, cityjson(2**70), "specification"),
     "OBJ": ("a.obj", city, "v 0 0 0\nv 1e300 0 0\nv 0 9 9\nf 1 2 3\n", "a vertex: 1e\\+300 m cannot be"),
@@ -61,6 +70,14 @@ def test_strange_files_are_one_line(kind: str, tmp_path: Path) -> None:
 def test_what_is_no_file(name: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         load(name)
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="a file without an end")
+@pytest.mark.parametrize("reader", [Recording.load, VtMap.load, Calibration.load])
+def test_what_has_no_end(reader: Callable[[str], object]) -> None:
+    with pytest.raises(InputError, match="/dev/zero: no such file"):
+        reader("/dev/zero")
+    assert with_contents('{"map":{"file":"/dev/zero"}}')
 
 
 @pytest.mark.parametrize(

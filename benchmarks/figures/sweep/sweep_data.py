@@ -11,13 +11,12 @@ import numpy as np
 
 from cellslam.benchmarks.scores.metrics import METRIC
 from cellslam.benchmarks.scores.statistics import interval, statistic
-from cellslam.benchmarks.sweeps.rows import results, varying_keys
+from cellslam.benchmarks.sweeps.rows import oracles, results, varying_keys
 from cellslam.benchmarks.sweeps.store import trajectory_of
 from cellslam.benchmarks.tables.rankings import verdicts
 from cellslam.benchmarks.tables.summaries import CONFIDENCE, finite, groups
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
-from cellslam.slam.registry import oracles
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -133,7 +132,7 @@ def verdicts_of(data: SweepData) -> dict[str, Verdict]:
     import pandas as pd
 
     panels = {p.title: pd.concat([one.rows.assign(label=one.label) for one in p.series]) for p in data.panels}
-    return verdicts(panels, oracles({one.estimator for panel in data.panels for one in panel.series}), "label")
+    return verdicts(panels, oracles(data.folder), "label")
 
 
 def curve_keys(data: SweepData) -> dict[str, bool]:

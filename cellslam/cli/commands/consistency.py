@@ -6,12 +6,12 @@ import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from cellslam.benchmarks.sweeps.rows import oracles
 from cellslam.benchmarks.sweeps.store import lost_in_words
 from cellslam.benchmarks.tables.formats import consistency_grid, render
 from cellslam.benchmarks.tables.summaries import Layout, row_keys
 from cellslam.cli.arguments import add, whole
 from cellslam.cli.output import note
-from cellslam.slam.registry import oracles
 
 EXAMPLES = ("consistency load",)
 
@@ -27,6 +27,5 @@ def command(arguments: Namespace) -> None:
     folder = Path(arguments.folder)
     keys = row_keys(folder, Layout(rows=tuple(arguments.rows) or None))
     tidy = measured(folder, arguments.times, keys)
-    named = tidy["estimator"].unique() if "estimator" in tidy else ()
     note(arguments, lost_in_words(folder))
-    sys.stdout.write(render(tidy, consistency_grid(tidy, keys, oracles(named)), arguments.format))
+    sys.stdout.write(render(tidy, consistency_grid(tidy, keys, oracles(folder)), arguments.format))

@@ -98,10 +98,11 @@ def command(arguments: Namespace) -> None:
 def _city_table(name: str) -> dict[str, Any]:
     if name not in preset_names() and not name.endswith(".toml"):
         return {"kind": "mesh", "path": name}
-    table = load(name).city.model_dump(mode="json", exclude_defaults=True)
+    city = load(name, code=False).city
+    table = city.model_dump(mode="json", exclude_defaults=True)
     if table.get("seed") == "trial":
         raise InputError(f"city '{name}': another one in each trial; give a scenario whose city.seed is a number")
-    return {"kind": load(name).city.kind, **table}
+    return {"kind": city.kind, **table}
 
 
 def _drive(arguments: Namespace, city: City, rng: np.random.Generator) -> tuple[Route, dict[str, Any]]:

@@ -8,12 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from cellslam.benchmarks.scores.statistics import LEAST_VALUES
-from cellslam.benchmarks.sweeps.rows import results
+from cellslam.benchmarks.sweeps.rows import oracles, results
 from cellslam.benchmarks.tables.formats import comparison_grid, render, summary_grid
 from cellslam.benchmarks.tables.summaries import Layout, comparison, row_keys, summary
 from cellslam.cli.arguments import REPEATED, add, number
 from cellslam.sim.errors import InputError
-from cellslam.slam.registry import oracles
 
 EXAMPLES = ("table load", "table load --interval --format latex", "table load --compare fastslam,ekf-slam")
 
@@ -44,8 +43,7 @@ def command(arguments: Namespace) -> None:
     if tidy.empty:
         raise InputError(f"{folder}: no rows yet")
     keys = [key for key in layout.rows or () if key != layout.columns]
-    named = tidy["estimator"].unique() if "estimator" in tidy else ()
-    grid = summary_grid(tidy, keys, layout.columns, oracles(named))
+    grid = summary_grid(tidy, keys, layout.columns, oracles(folder))
     if pooled := _pooled(folder, layout) if rows else []:
         grid = replace(grid, notes=(*grid.notes, f"pooled over all values of: {', '.join(pooled)}"))
     if confidence is not None and tidy["values"].between(1, LEAST_VALUES - 1).any():

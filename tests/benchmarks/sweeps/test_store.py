@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import resource
 import sqlite3
 import subprocess
 import sys
@@ -162,6 +163,25 @@ def test_a_full_disk_is_one_line_and_keeps_what_was_finished(tmp_path: Path, mon
         assert store.statuses(tmp_path)["a"] == "ok" and "c" not in store.statuses(tmp_path)
 
 
+def test_a_full_disk_costs_the_name_of_the_holder_alone(tmp_path: Path) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
+    try:
+        with only_writer(tmp_path, "test"):
+            pass
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_store_that_could_not_be_made_is_begun_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(store, "_TABLES", store._TABLES.replace("EXISTS rows", "EXISTS no table"))
+        with pytest.raises(InputError), store.writing(tmp_path, "test", {}):
+            raise AssertionError
+    with store.writing(tmp_path, "test", {}) as again:
+        assert again.status() == {}
+
+
 def test_lost_trajectories_are_noticed_and_made_again(tmp_path: Path) -> None:
     made = plan_of({}, BOTH, trials=3)
     made_up(tmp_path, made, packed=lambda _, job: job.key.encode() * 9)
@@ -179,6 +199,30 @@ def test_lost_trajectories_are_noticed_and_made_again(tmp_path: Path) -> None:
     assert store.lost_in_words(tmp_path) == "" and store.trajectory_of(tmp_path, cut) is None  # no trajectory at all
     made_up(tmp_path, made)
     assert store.lost_in_words(tmp_path) == ""  # a row that has none has not lost it
+
+
+def test_a_changed_row_is_noticed_and_made_again(tmp_path: Path) -> None:
+    made, notes = plan_of({}, BOTH, trials=3), list[str]()
+    made_up(tmp_path, made, numbered())
+    changed = keys(made)[1]
+    with closing(sqlite3.connect(tmp_path / store.DATABASE)) as database, database:
+        database.execute("UPDATE rows SET position_rmse_m = 7.0 WHERE key = ?", (changed,))
+    with pytest.raises(InputError, match="rows that are damaged: 1; the command that made them makes them again"):
+        results(tmp_path)
+    with store.writing(tmp_path, "test", {}, notes.append) as again:
+        todo = pending(made, again, retry_failed=False)
+    assert keys(todo) == [changed] and "damaged, and are removed: 1" in notes[0]
+    made_up(tmp_path, todo)
+    assert len(results(tmp_path)) == 6
+    with closing(sqlite3.connect(tmp_path / store.DATABASE)) as database, database:
+        database.execute("UPDATE rows SET error = CAST(x'ff' AS TEXT) WHERE key = ?", (changed,))
+    with pytest.raises(InputError, match=r"damaged .*recover"), store.writing(tmp_path, "test", {}):
+        raise AssertionError
+    with closing(sqlite3.connect(tmp_path / store.DATABASE)) as database, database:
+        database.execute("UPDATE rows SET error = NULL WHERE key = ?", (changed,))
+        database.execute("UPDATE worlds SET tables = replace(tables, '2660000000', '2670000000')")
+    with pytest.raises(InputError, match="what they were made from cannot be read"):
+        results(tmp_path)
 
 
 def test_a_trajectory_is_on_the_disk_before_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -260,6 +304,9 @@ def test_trajectories_are_kept_compressed(toy_recording: Callable[..., Recording
     damaged = tmp_path / "damaged.npz"
     damaged.write_bytes(packed[:100])
     with pytest.raises(InputError, match="not a trajectory file"):
+        unpack(damaged)
+    damaged.write_bytes(pack(dataclasses.replace(got, nees=got.nees[1:])))
+    with pytest.raises(InputError, match=r"'nees' has the shape \(39,\)"):
         unpack(damaged)
 
 

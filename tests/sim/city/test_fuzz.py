@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
-from tests.damaged_files import CITIES, cities, damaged, read, read_city
+from tests.damaged_files import CITIES, Sound, cities, damaged, read, read_city
 
 INPUTS = int(os.environ.get("CELLSLAM_FUZZ", "100"))
 
@@ -26,13 +26,14 @@ def sound(tmp_path_factory):
 
 @pytest.mark.parametrize("suffix", CITIES)
 def test_sound_files_load(sound, suffix):
-    assert read(sound[0] / f"sample{suffix}", read_city) == "read"
+    path = sound[0] / f"sample{suffix}"
+    assert read(path, Sound(path, read_city), read_city(path)) == "the same"
 
 
 def check(sound, suffix, content):
     path = sound[0] / f"damaged{suffix}"
     path.write_bytes(content)
-    event(f"{suffix} {read(path, read_city)}")
+    event(f"{suffix} {read(path, Sound(path, read_city), None)}")
 
 
 @settings(max_examples=INPUTS, deadline=20_000, database=None, suppress_health_check=list(HealthCheck))
