@@ -20,7 +20,7 @@ from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from fnmatch import fnmatch
 from pathlib import Path
 from types import NoneType
@@ -182,7 +182,7 @@ def writing_shard(folder: Path, number: int, count: int, command: str, versions:
         place.mkdir(parents=True, exist_ok=True)
     with closing(sqlite3.connect(":memory:")) as database:
         run = _begin(folder, database, command, versions, _silent)
-        name = f"run-{time.strftime('%Y%m%dT%H%M%S')}-{secrets.token_hex(4)}.sqlite"
+        name = f"run-{datetime.now(UTC):%Y%m%dT%H%M%S%f}-{secrets.token_hex(4)}.sqlite"
         store = Store(folder, database, run, _silent, place / name)
         store.checkpoint()
         try:
@@ -363,9 +363,7 @@ def _prepare(folder: Path, database: sqlite3.Connection) -> None:
         database.execute(f'ALTER TABLE rows ADD COLUMN "{key}" {_type(key)}')
 
 
-def _begin(
-    folder: Path, database: sqlite3.Connection, command: str, versions: Mapping[str, str], note: Note
-) -> int:
+def _begin(folder: Path, database: sqlite3.Connection, command: str, versions: Mapping[str, str], note: Note) -> int:
     """Make ready a database that is written, and return the number of this run in it."""
     _prepare(folder, database)
     _remove_damaged(folder, database, note)

@@ -179,7 +179,7 @@ def test_a_store_that_could_not_be_made_is_begun_again(tmp_path: Path, monkeypat
         with pytest.raises(InputError), store.writing(tmp_path, "test", {}):
             raise AssertionError
     with store.writing(tmp_path, "test", {}) as again:
-        assert again.status() == {}
+        assert store.statuses(again.folder) == {}
 
 
 def test_lost_trajectories_are_noticed_and_made_again(tmp_path: Path) -> None:
@@ -210,7 +210,7 @@ def test_a_changed_row_is_noticed_and_made_again(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="rows that are damaged: 1; the command that made them makes them again"):
         results(tmp_path)
     with store.writing(tmp_path, "test", {}, notes.append) as again:
-        todo = pending(made, again, retry_failed=False)
+        todo = pending(made, again.folder, retry_failed=False)
     assert keys(todo) == [changed] and "damaged, and are removed: 1" in notes[0]
     made_up(tmp_path, todo)
     assert len(results(tmp_path)) == 6
