@@ -17,7 +17,7 @@ from cellslam.benchmarks.figures.style import colour_of
 from cellslam.benchmarks.figures.sweep.sweep_data import CurveChoice, load, sweep_lines
 from cellslam.benchmarks.figures.sweep.sweep_figures import bound_lines, draw_curve, draw_sweep
 from cellslam.benchmarks.sweeps.store import DATABASE
-from cellslam.benchmarks.sweeps.tasks import Job, Task, request_of
+from cellslam.benchmarks.sweeps.tasks import Job, Task, identity, request_of
 from cellslam.benchmarks.sweeps.trajectories import pack, trajectory
 from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.sim.recording import Recording
@@ -85,7 +85,8 @@ def test_a_world_without_the_swept_key_stands_apart(folder: Path, other: float |
     with closing(sqlite3.connect(folder / DATABASE)) as database, database:
         for key, text in database.execute("SELECT id, tables FROM worlds").fetchall():
             tables = json.dumps({"name": "tiny", "radio": said[json.loads(text)["radio"]["load"]]})
-            database.execute("UPDATE worlds SET tables = ? WHERE id = ?", (tables, key))
+            database.execute("UPDATE worlds SET id = ?, tables = ? WHERE id = ?", (identity(tables), tables, key))
+            database.execute("UPDATE rows SET world = ?, digest = NULL WHERE world = ?", (identity(tables), key))
     lines = sweep_lines(load(folder), "radio.load")
     if other == 2.0:
         assert [at for at, _ in lines["fastslam"]] == [0.01, 2.0]
