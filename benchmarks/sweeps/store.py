@@ -16,14 +16,12 @@ import re
 import secrets
 import sqlite3
 import time
-from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from fnmatch import fnmatch
 from pathlib import Path
-from types import NoneType
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 from cellslam.benchmarks.scores.metrics import COST_KEYS, METRIC_KEYS, ROW_KEYS
@@ -55,7 +53,6 @@ _KEPT = "what was finished before is kept, and the same command goes on from the
 _AGAIN = "the command that made them makes them again"
 _NUMBERS = (*METRIC_KEYS, "duration_s", "distance_m", *COST_KEYS)
 _WHOLE = ("trial", "seed", "snapshots", "oracle", "run", "trajectory_bytes")
-_NOT_IN_DIGEST = ("digest", "run")
 # What others refuse: a lock, the disk, the system. Any other error is one of the database itself.
 _REFUSALS = frozenset(
     (
@@ -128,8 +125,8 @@ class Store:
         def insert() -> None:
             with self.database:
                 self.database.execute(f"INSERT OR REPLACE INTO rows ({columns}) VALUES ({marks})", values)
-                (row,) = _rows(self.database, "rows WHERE key = ?", result.key)  # as the database holds it
-                self.database.execute("UPDATE rows SET digest = ? WHERE key = ?", (_digest(row), result.key))
+                ((key, _, digest),) = _digests(self.database, key=result.key)  # as it is held
+                self.database.execute("UPDATE rows SET digest = ? WHERE key = ?", (digest, key))
 
         self._patiently(insert)
         if time.monotonic() - self.copied_s > CHECKPOINT_S:
@@ -339,8 +336,7 @@ def damaged_rows(database: sqlite3.Connection, schema: str = "") -> frozenset[st
     """Return the keys of rows that do not hold what was written; of those without a digest nothing is known."""
     if "digest" not in stored_columns(database, schema):  # made before rows had one
         return frozenset()
-    whole = _rows(database, f"{schema}rows")
-    return frozenset(row["key"] for row in whole if row["digest"] not in (None, _digest(row)))
+    return frozenset(key for key, stored, held in _digests(database, schema) if stored not in (None, held))
 
 
 def lost_in_words(folder: Path) -> str:
@@ -448,19 +444,19 @@ def _remove_damaged(folder: Path, database: sqlite3.Connection, note: Note) -> N
         note(f"{folder}: rows that were damaged, and are removed: {len(damaged)}; {_AGAIN}")
 
 
-def _rows(database: sqlite3.Connection, table: str, *values: str) -> Iterator[dict[str, Any]]:
-    """Yield whole rows of a table, or of what a condition leaves of it, by column."""
-    cursor = database.execute(f"SELECT * FROM {table}", values)
-    names = [column[0] for column in cursor.description]
-    return (dict(zip(names, row, strict=True)) for row in cursor)
+def _digests(
+    database: sqlite3.Connection, schema: str = "", key: str | None = None
+) -> Iterator[tuple[str, str | None, str]]:
+    """Yield the key, the digest that is stored and the digest of what is held, of one row or of all.
 
-
-def _digest(row: Mapping[str, Any]) -> str:
-    """Return a digest of what a row holds; a column that is added later, which is null, changes nothing."""
-    numbers = {key: row[key] for key in sorted(row) if type(row[key]) is float}
-    others = [(key, row[key]) for key in sorted(row) if type(row[key]) not in (float, NoneType)]
-    named = repr((list(numbers), [one for one in others if one[0] not in _NOT_IN_DIGEST]))
-    return hashlib.sha256(named.encode("utf-8", "backslashreplace") + array("d", numbers.values())).hexdigest()
+    A column that is added later, which is null, changes nothing.
+    """
+    names = ", ".join(f'"{name}"' for name in sorted(stored_columns(database, schema) - {"digest", "run"}))
+    query = f"SELECT key, digest, {names} FROM {schema}rows"
+    rows = database.execute(query) if key is None else database.execute(f"{query} WHERE key = ?", (key,))
+    for found, stored, *row in rows:
+        held = repr([value for value in row if value is not None])
+        yield found, stored, _sha256(held.encode("utf-8", "backslashreplace"))
 
 
 def _sha256(content: bytes) -> str:

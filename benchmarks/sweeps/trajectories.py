@@ -100,10 +100,11 @@ def _check_shapes(held: Mapping[str, NDArray[Any]]) -> None:
     sizes = {"3": 3, "6": 6}
     for name, letters in SHAPES.items():
         column = held[name]
-        fits = len(letters) == column.ndim and all(
-            sizes.setdefault(x, n) == n for x, n in zip(letters, column.shape, strict=True)
+        fits = not column.size or (
+            len(letters) == column.ndim
+            and all(sizes.setdefault(x, n) == n for x, n in zip(letters, column.shape, strict=True))
         )
-        if column.dtype.kind not in "fiu" or (not fits if column.size else name == "time_s"):
+        if column.dtype.kind not in "fiu" or not fits or (name == "time_s" and not column.size):
             raise ValueError(f"its column '{name}' has the shape {column.shape}, of {column.dtype}")
 
 
