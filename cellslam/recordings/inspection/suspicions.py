@@ -186,7 +186,8 @@ def unusual_values(recording: Recording) -> Iterator[Suspicion]:
     found = [(c.name, *part) for c in COLUMNS if c.path in values for part in c.parts(values[c.path])]
     steps = [(path, np.diff(values[path])) for path in TIMES if path in values]
     found += [(f"intervals of {path.replace('/', '.')}", RANGES["interval"], step) for path, step in steps]
-    for name, span, column in found:
+    for name, span, values_held in found:
+        column = np.atleast_1d(values_held)
         beyond = column[(column < span.usual[0]) | (column > span.usual[1])]
         if len(beyond):
             usual = f"{span.usual[0]:g} to {span.usual[1]:g} {span.unit} is usual ({span.why})"
