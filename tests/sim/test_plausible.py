@@ -27,9 +27,9 @@ def changed(recording: Recording, path: str, value: float, row: int = 3) -> Reco
     holders = [recording]
     for part in parts:
         holders.append(getattr(holders[-1], part))
-    column = np.array(getattr(holders[-1], name))
-    column[min(row, len(column) - 1)] = value
-    new = replace(holders[-1], **{name: column})
+    held = np.array(getattr(holders[-1], name), ndmin=1)
+    held[min(row, len(held) - 1)] = value
+    new = replace(holders[-1], **{name: held.reshape(np.shape(getattr(holders[-1], name)))})
     for part, holder in zip(reversed(parts), reversed(holders[:-1]), strict=True):
         new = replace(holder, **{part: new})
     return new
