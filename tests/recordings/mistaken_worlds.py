@@ -243,6 +243,7 @@ def of_recording(recording: Recording, seed: int, with_yaw: bool) -> Campaign:
             fixes[:, :3] + 0.05 * rng.standard_normal((len(fixes), 3)),
             fixes[:, 3] if with_yaw else None,
         ),
+        range_scale_std=r.range_scale_std,
     )
 
 
