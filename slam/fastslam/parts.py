@@ -22,7 +22,9 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from inspect import signature
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -305,11 +307,20 @@ def part_named(slot: str, name: str) -> Callable[..., Any]:
 
 
 def checked(slot: str, part: Any) -> Callable[..., Any]:
-    """Return a part that is given as an object. Raises InputError for an unknown slot, and what cannot be called."""
+    """Return a part that is given as an object, a class as an object of it.
+
+    Raises InputError for an unknown slot, and what cannot be called with what the slot gives.
+    """
     if slot not in BUILT_IN:
         raise unknown_name("part of FastSLAM", slot, BUILT_IN)
-    if isinstance(part, type):
-        part = part()
-    if not callable(part):
-        raise InputError(f"{slot}: {part!r} cannot be called; give a function or an object with __call__")
-    return part  # type: ignore[no-any-return]
+    given = list(signature(next(iter(BUILT_IN[slot].values()))).parameters)
+    try:
+        made = part() if isinstance(part, type) else part
+        with suppress(ValueError):  # some compiled functions do not say what they take
+            signature(made).bind(*given)
+    except TypeError as error:
+        raise InputError(
+            f"{slot}: {part!r} cannot be called with ({', '.join(given)}): {one_line(error)}; give a function of these, "
+            "an object, or a class that needs no arguments (a name is for the option)"
+        ) from error
+    return made  # type: ignore[no-any-return]

@@ -127,8 +127,9 @@ def test_wrong_parts_are_told_what_there_is() -> None:
         FastSlamOptions(association="nearest")
     with pytest.raises(InputError, match=r"unknown part of FastSLAM 'associator'.*association, birth"):
         FastSlam(associator=parts.nearest_neighbour)
-    with pytest.raises(InputError, match="cannot be called"):
-        FastSlam(weight=3)
+    for wrong in (3, lambda W, more: W, type(parts.maximum_likelihood), "my_parts:weight"):
+        with pytest.raises(InputError, match=r"weight: .* cannot be called with \(W\): .*give a function"):
+            FastSlam(weight=wrong)
     with pytest.raises(ValidationError, match="cannot be imported"):
         FastSlamOptions(weight="no_such_module:weight")
     with pytest.raises(ValidationError, match=r"unknown part in module numpy 'clp'.*did you mean 'clip'"):
