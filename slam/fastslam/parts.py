@@ -320,7 +320,7 @@ def checked(slot: str, part: Any) -> Callable[..., Any]:
             signature(made).bind(*given)
     except TypeError as error:
         raise InputError(
-            f"{slot}: {part!r} cannot be called with ({', '.join(given)}): {one_line(error)}; give a function of these, "
-            "an object, or a class that needs no arguments (a name is for the option)"
+            f"{slot}: {part!r} cannot be called with ({', '.join(given)}): {one_line(error)}; give a function of "
+            "these, an object, or a class that needs no arguments (a name is for the option)"
         ) from error
     return made  # type: ignore[no-any-return]
