@@ -220,7 +220,7 @@ def read(path: Path, kind: Sound, before: Any) -> str:
         return "refused"
     if repr([*values(held)]) == repr([*values(before)]):
         return "the same"
-    assert not kind.sealed, "other values, and nobody said so"
+    assert not kind.sealed, "other values, without a word to the user"
     if kind.stated is not None:
         numerals = re.findall(r"[-+]?[\d_]*\.?\d[\d_]*(?:[eE][-+]?\d+)?", path.read_text(errors="replace"))
         known = {float(text.replace("_", "")) for text in numerals}

@@ -74,7 +74,7 @@ def command(arguments: Namespace) -> int:
 def outcomes(folder: Path, arguments: Namespace, draw: random.Random) -> Iterator[Outcome]:
     """Yield the lines of the table."""
     whole = folder / "whole"
-    said(*words(*ESTIMATORS, out=str(whole), trials=TRIALS, more=("--executor", "serial")))
+    outcome_of(*words(*ESTIMATORS, out=str(whole), trials=TRIALS, more=("--executor", "serial")))
     expected = rows(whole)
     for driver, times in ((True, arguments.kills), (False, arguments.kills // 2)):
         if times:
@@ -86,7 +86,7 @@ def outcomes(folder: Path, arguments: Namespace, draw: random.Random) -> Iterato
         yield from damaged_files(folder, arguments.damages, draw)
 
 
-def said(*line: str) -> tuple[int, str, str]:
+def outcome_of(*line: str) -> tuple[int, str, str]:
     """Return exit status, stdout and stderr of a command, carried out in this process."""
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
@@ -103,7 +103,7 @@ def kills(folder: Path, expected: list[Row], times: int, draw: random.Random, dr
         out, number = folder / f"kills-{driver}-{number}", number + 1
         line[line.index("--out") + 1] = str(out)
         while done < times and (not out.exists() or len(rows(out)) < len(expected)):
-            begun = stored(out)
+            stored_before = stored(out)
             process = start(line)
             while done < times and process.poll() is None:
                 wanted = stored(out) + draw.randrange(KILL_WAIT_ROWS)
@@ -117,7 +117,7 @@ def kills(folder: Path, expected: list[Row], times: int, draw: random.Random, dr
                 if driver:
                     process.communicate()
                     kept = rows(out) if stored(out) else []
-                    lost += sum(row not in kept for row in there) + max(begun - len(kept), 0)
+                    lost += sum(row not in kept for row in there) + max(stored_before - len(kept), 0)
             process.communicate()
         process = start([*line, "--retry-failed"])
         _, err = process.communicate()
@@ -173,11 +173,11 @@ def full_disks(disk: Path, whole: Path, expected: list[Row], times: int, draw: r
         }
         for title, line in lines.items():
             counts, wrong = Counter[str](), list[str]()
-            said(*line, "--quiet")
+            outcome_of(*line, "--quiet")
             for _ in range(times):
                 before = contents(disk)
                 with nearly_full(disk, mounted, int(10 ** draw.uniform(*FREE_DECADES))):
-                    status, _, err = said(*line, "--quiet")
+                    status, _, err = outcome_of(*line, "--quiet")
                 after = contents(disk)
                 counts["done" if status == DONE else "one line"] += 1
                 if status not in (DONE, WRONG, FAILED) or (status and err.count("\n") != 1):
@@ -186,7 +186,7 @@ def full_disks(disk: Path, whole: Path, expected: list[Row], times: int, draw: r
                     wrong.append("the file that was there is not as it was")
                 if litter := [path for path in after if ".tmp" in path or "/." in path]:
                     wrong.append(f"litter: {litter}")
-                if said(*line, "--quiet")[0] != DONE:
+                if outcome_of(*line, "--quiet")[0] != DONE:
                     wrong.append("does not work with room either")
             yield Outcome(f"`{title}` on {name}", times, "0 files" if not wrong else "?", words_of(counts), (*wrong,))
         lost, counts, wrong = 0, Counter[str](), []
@@ -194,12 +194,12 @@ def full_disks(disk: Path, whole: Path, expected: list[Row], times: int, draw: r
             out = disk / f"sweep-{number}"
             line = tuple(words(*ESTIMATORS, out=str(out), trials=TRIALS, more=("--executor", "serial")))
             with nearly_full(disk, mounted, int(10 ** draw.uniform(*FREE_DECADES))):
-                status, _, err = said(*line)
+                status, _, err = outcome_of(*line)
                 there = rows(out) if stored(out) else []
             counts["done" if status == DONE else "one line"] += 1
             if status not in (DONE, WRONG) or (status and err.count("\n") != 1):
                 wrong.append(f"status {status}: {err}")
-            if said(*line)[0] == DONE:
+            if outcome_of(*line)[0] == DONE:
                 lost += sum(row not in rows(out) for row in (*there, *expected))
             else:
                 wrong.append("does not go on with room")
@@ -252,15 +252,15 @@ def damaged_results(
             shutil.copytree(whole, out)
             files = [out / DATABASE] if what == "database" else sorted((out / TRAJECTORIES).rglob("*.npz"))
             wound(draw.choice(files), draw)
-            status, _, err = said("consistency" if what == "trajectory" else "table", str(out))
+            status, _, err = outcome_of("consistency" if what == "trajectory" else "table", str(out))
             same = suppressed(lambda: rows(out) == expected)  # noqa: B023
             if err.count("\n") > 1 or status not in (DONE, WRONG):
                 wrong.append(f"status {status}: {err}")
             if not (same or status):
-                wrong.append("other rows, and nobody said so")
+                wrong.append("other rows, and without a word to the user")
             if what == "trajectory" and "missing or damaged: 1" not in err:
-                wrong.append("a lost trajectory, and nobody said so")
-            again = said(*words(*ESTIMATORS, out=str(out), trials=TRIALS, more=("--executor", "serial")))[0]
+                wrong.append("a lost trajectory, and without a word to the user")
+            again = outcome_of(*words(*ESTIMATORS, out=str(out), trials=TRIALS, more=("--executor", "serial")))[0]
             restored = again == DONE and rows(out) == expected
             if not restored:
                 lost += len(expected)
@@ -293,12 +293,12 @@ def damaged_files(folder: Path, times: int, draw: random.Random) -> Iterator[Out
         "calibration": (field, ("figures",), ("--out", str(folder / "figures"))),
     }
     for what, (file, first, last) in readers.items():
-        sound, before = file.read_bytes(), said(*first, str(file), *last)
+        sound, before = file.read_bytes(), outcome_of(*first, str(file), *last)
         for wound in DAMAGES:
             counts, wrong = Counter[str](), list[str]()
             for _ in range(times):
                 wound(file, draw)
-                found = said(*first, str(file), *last)
+                found = outcome_of(*first, str(file), *last)
                 file.write_bytes(sound)
                 counts["read as before" if found == before else "one line"] += 1
                 if found != before and (found[0] != WRONG or found[2].count("\n") != 1):

@@ -1,8 +1,8 @@
 """A sweep in shards: each has a share of the tasks, by whole worlds, and a store of its own; machines share a folder.
 
-share       the dearest task first, each to the shard that has the least so far: depends on     `shares`
-            the tasks alone, so that every shard finds the same without asking another
-note        which rows each shard is to make, and by which command, for who looks on         `note_shares`
+share       the most expensive task first, each to the shard that costs least so far: this   `shares`
+            depends on the tasks alone, so that every shard finds the same without the others
+note        which rows each shard is to make, and by which command, for `watch` and `merge`  `note_shares`
 work        each run of a shard does what nobody has done yet, into a database of its own    `store.writing_shard`
 merge       the rows of all, as one database; what is missing, and the commands for it       `merge`, `missing`
 """
@@ -22,22 +22,22 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.files import write_durably
 
 SHARES = "shares.json"
-# A snapshot of a world in units of what an estimator takes for it, bound included; of lund-530. From signals it is some
-# 100 to 300 times as dear. An error of a factor leaves shards unequal only where both kinds are in one sweep.
+# Cost of a snapshot of a world, bound included, in that of an estimator; of lund-530. From signals it costs some 100 to
+# 300 times as much. An error of a factor leaves shards unequal only where both kinds are in one sweep.
 WORLD_COST = {"statistical": 1.0, "signal": 200.0}
 
 
 def shares(plan: Plan, count: int) -> list[Plan]:
     """Return the plans of `count` shards, alike in expected cost; some are empty where there are fewer tasks."""
     costs = {text: _costs(text) for text in plan.worlds.values()}
-    worth = [costs[task.world][0] + costs[task.world][1] * len(task.jobs) for task in plan.tasks]
+    expected = [costs[task.world][0] + costs[task.world][1] * len(task.jobs) for task in plan.tasks]
     loads = [(0.0, shard) for shard in range(count)]
     members: list[list[int]] = [[] for _ in range(count)]
     # Trials of a world one after the other, so that all shards have some: what it costs is only expected.
-    for place in sorted(range(len(worth)), key=lambda place: (-worth[place], plan.tasks[place].world)):
+    for place in sorted(range(len(expected)), key=lambda place: (-expected[place], plan.tasks[place].world)):
         load, shard = heapq.heappop(loads)
         members[shard].append(place)
-        heapq.heappush(loads, (load + worth[place], shard))
+        heapq.heappush(loads, (load + expected[place], shard))
     return [_part(plan, [plan.tasks[place] for place in sorted(own)]) for own in members]
 
 

@@ -1,4 +1,4 @@
-"""A scale of range, common to all links, as a state: told by surveyed transmitters, and there only where it may be."""
+"""A scale of range, common to all links, as a state: observable by surveyed transmitters, and only where it may be."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def long_ranges(recording: Recording, range_scale_std: float) -> Recording:
 
 
 @pytest.mark.parametrize("estimator", [EkfSlam, FastSlam, BpSlam])
-def test_surveyed_transmitters_tell_the_scale(estimator: Any, toy_recording: Toy) -> None:
+def test_surveyed_transmitters_make_the_scale_observable(estimator: Any, toy_recording: Toy) -> None:
     recording = long_ranges(toy_recording(80), 0.04)
     one = estimator()
     last = driven(one, recording)[-1]

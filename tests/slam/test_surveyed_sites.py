@@ -54,14 +54,14 @@ def test_a_survey_is_corrected_by_measurements_as_far_as_it_may_err(estimator: A
 
 
 @pytest.mark.parametrize(
-    ("error_m", "std_m", "said"), [(0.0, 0.1, False), (3.0, 3.0, False), (1.0, 0.1, True), (3.0, 0.1, True)]
+    ("error_m", "std_m", "named"), [(0.0, 0.1, False), (3.0, 3.0, False), (1.0, 0.1, True), (3.0, 0.1, True)]
 )
 def test_a_survey_that_measurements_contradict_is_named(
-    error_m: float, std_m: float, said: bool, toy_recording: Toy
+    error_m: float, std_m: float, named: bool, toy_recording: Toy
 ) -> None:
     one = EkfSlam()
     driven(one, surveyed(toy_recording(80), error_m * np.array([1.0, -0.6, 0.6]), std_m))
-    assert any("the survey of site A" in line for line in one.remarks()) == said
+    assert any("the survey of site A" in line for line in one.remarks()) == named
 
 
 def test_setup_has_the_links_of_surveyed_sites(toy_recording: Toy) -> None:

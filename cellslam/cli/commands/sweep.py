@@ -94,7 +94,7 @@ def carry_plan(arguments: Namespace, made: Plan, of: str, names: Names, out: Pat
     part = parts[number - 1]
     todo = pending(part, out, arguments.retry_failed)
     if arguments.script or arguments.dry_run:
-        _foretell(arguments, f"{of}, {_size(part, todo)}", todo, allowed, out)
+        _estimate_cost(arguments, f"{of}, {_size(part, todo)}", todo, allowed, out)
         return DONE
     note(arguments, _size(part, todo))
     stored = statuses(out)
@@ -119,10 +119,10 @@ def carry_plan(arguments: Namespace, made: Plan, of: str, names: Names, out: Pat
         kept = f"{tally.done} new rows are kept in {out}"
         sys.stderr.write(f"interrupted: {kept}; the same command goes on from there: {command}\n")
         return INTERRUPTED
-    return _ended(arguments, part, tally, out)
+    return _conclude(arguments, part, tally, out)
 
 
-def _foretell(arguments: Namespace, size: str, todo: Plan, allowed: Limits, out: Path) -> None:
+def _estimate_cost(arguments: Namespace, size: str, todo: Plan, allowed: Limits, out: Path) -> None:
     """Print how long a plan of that size takes, or the script that carries it out."""
     print(size, file=sys.stderr if arguments.script else sys.stdout)
     with Serial(allowed) as one:
@@ -135,7 +135,7 @@ def _foretell(arguments: Namespace, size: str, todo: Plan, allowed: Limits, out:
         print(f"about {clock(seconds / jobs)} on {_counted(jobs, 'core')} (one trial, timed now: {timed})")
 
 
-def _ended(arguments: Namespace, part: Plan, tally: Tally, out: Path) -> int:
+def _conclude(arguments: Namespace, part: Plan, tally: Tally, out: Path) -> int:
     """Say what is stored of what was asked for, and return the exit status."""
     status = statuses(out)
     failed = sum(status[job.key] == "failed" for task in part.tasks for job in task.jobs)
