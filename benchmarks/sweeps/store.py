@@ -238,8 +238,16 @@ def check_local(folder: Path, mounts: str | None = None) -> None:
 def databases(folder: Path) -> list[Path]:
     """Return the databases in `folder`: that of a whole sweep, then those of runs of its shards, or of one shard, by
     when they began."""
-    whole = [folder / DATABASE] if (folder / DATABASE).is_file() else []
+    whole = [folder / DATABASE] if _has_tables(folder / DATABASE) else []
     return whole + sorted((*folder.glob(RUN), *folder.glob(f"{SHARD}/{RUN}")), key=lambda file: file.name)
+
+
+def _has_tables(file: Path) -> bool:
+    """Return whether a database is there, and more than a file whose making failed. Raises InputError."""
+    if not file.is_file():
+        return False
+    with _explained(file.parent, "read"), closing(sqlite3.connect(_address(file), uri=True)) as database:
+        return bool(database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0])
 
 
 @contextmanager

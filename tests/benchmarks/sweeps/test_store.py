@@ -178,6 +178,8 @@ def test_a_store_that_could_not_be_made_is_begun_again(tmp_path: Path, monkeypat
         patch.setattr(store, "_TABLES", store._TABLES.replace("EXISTS rows", "EXISTS no table"))
         with pytest.raises(InputError), store.writing(tmp_path, "test", {}):
             raise AssertionError
+    made = plan_of({}, trials=2)
+    assert len(pending(made, tmp_path, retry_failed=False)) == len(made)
     with store.writing(tmp_path, "test", {}) as again:
         assert store.statuses(again.folder) == {}
 
