@@ -27,9 +27,9 @@ class Setup(Described):
     deviations (6,).
 
     `range_scale_std`: deviation of the scale k by which all distances are measured too long, measured = (1 + k) true +
-    clock offset; 0: there is no such error. `map`: of VTs, as earlier drives left it; None: none is known. `truth` is
-    None but for an estimator that declares `requires_truth`, `future` but for one that declares `requires_future`: all
-    steps of the drive that begins.
+    clock offset; 0: there is no such error. `scatterers`: whether points may scatter paths, beside walls that mirror
+    them. `map`: of VTs, as earlier drives left it; None: none is known. `truth` is None but for an estimator that
+    declares `requires_truth`, `future` but for one that declares `requires_future`: all steps of the drive that begins.
     """
 
     links: Links
@@ -41,6 +41,7 @@ class Setup(Described):
     map: VtMap | None = None
     future: tuple[Step, ...] | None = None
     range_scale_std: float = 0.0
+    scatterers: bool = False
 
     @property
     def surveyed(self) -> tuple[Ints, Floats, Floats]:
@@ -83,12 +84,16 @@ Step = tuple[float, Floats, Snapshot]  # the arguments of `Estimator.step`
 
 @dataclass(frozen=True, repr=False)
 class VtEstimate(Described):
-    """Estimated VTs: `id` (V,), `link` (V,), `position_m` (V, 3), `covariance` (V, 3, 3), in the world frame."""
+    """Estimated VTs: `id` (V,), `link` (V,), `position_m` (V, 3), `covariance` (V, 3, 3), in the world frame.
+
+    `scatterer` (V,): which of them are scatterers, points where paths bend; the others are mirror images. None: none.
+    """
 
     id: Ints
     link: Ints
     position_m: Floats
     covariance: Floats
+    scatterer: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -174,6 +179,7 @@ def setup_of(
         map=known,
         future=tuple(steps_of(recording)) if with_future else None,
         range_scale_std=recording.range_scale_std,
+        scatterers=recording.scatterers,
     )
 
 

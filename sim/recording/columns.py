@@ -121,6 +121,7 @@ COLUMNS = (
     Column("start_std", (6,), _POSE_UNIT, labels=_POSE, rule="prior"),
     Column("plane", (), kind="int", optional=True),
     Column("range_scale_std", (), optional=True, rule="deviation"),
+    Column("scatterers", (), kind="int", optional=True),
     Column("provenance", (), "JSON", kind="text"),
     Column("truth/poses", ("T", 6), _POSE_UNIT, labels=_POSE, rule="finite"),
     Column("truth/measurement_vt", ("M",), kind="int", index=("V",), none=True),

@@ -45,6 +45,7 @@ class Recording(Described):
     `reference` is what a measured drive is scored by, `truth` what a simulated one is; either may be missing.
     `plane`: array, sources and reflections lie in one horizontal plane, so that all elevations are zero unmeasured.
     `range_scale_std`: deviation of the scale k of range, distance_m = (1 + k) true distance + clock offset; 0: none.
+    `scatterers`: whether points may scatter paths, beside walls that mirror them.
 
     Raises InputError, naming table, column and row, where a column breaks the contract.
     """
@@ -62,6 +63,7 @@ class Recording(Described):
     reference: Reference | None = None
     plane: bool = False
     range_scale_std: float = 0.0
+    scatterers: bool = False
 
     def __post_init__(self) -> None:
         values = values_of(self)

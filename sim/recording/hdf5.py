@@ -209,7 +209,7 @@ def _read(dataset: h5py.Dataset, column: Column) -> Any:
 def _recording(values: dict[str, Any], make: Callable[..., Kind]) -> Kind:
     own: dict[str, Any] = values | {
         "provenance": _provenance(values["provenance"]), "plane": bool(values.get("plane")),
-        "range_scale_std": float(values.get("range_scale_std", 0.0)),
+        "range_scale_std": float(values.get("range_scale_std", 0.0)), "scatterers": bool(values.get("scatterers")),
     }  # fmt: skip
     for table, kind in _TABLES.items():
         inside = {path for path in own if path.rpartition("/")[0] == table}

@@ -62,6 +62,7 @@ from cellslam.slam.joint.state.layout import (
     FREE,
     HITS,
     IDENT,
+    KIND,
     POSITION,
     SPREAD,
     ArrayErrors,
@@ -127,6 +128,7 @@ class JointFilter:
         self._archive, self._again_s, self._grown = NO_VTS, 0.0, 1.0
         self._born = len(links) + (0 if known is None else len(known))
         self._errors = array_errors(self.options, setup)
+        self._scatterers = setup.scatterers if self.options.scatterers is None else self.options.scatterers
         self._core = core_of(self._setup, self._errors, self._drawn_blocks)
         self._past: list[tuple[Interval, Measured]] = []
         self._beside: tuple[JointFilter, MapTrial] | None = None
@@ -280,7 +282,7 @@ class JointFilter:
             (ident,), on_link = self._surveyed_idents(np.array([link])), rows[rows[:, 1] == link]
             own = on_link[on_link[:, 0] == ident][0]
             beside = [row[POSITION:SPREAD] for row in on_link if row[0] != ident and hits[row[0]] > hits[ident] - KNOWN]
-            moved, left2 = own[POSITION:SPREAD] - place, np.diag(own[SPREAD:].reshape(3, 3))
+            moved, left2 = own[POSITION:SPREAD] - place, np.diag(own[SPREAD:KIND].reshape(3, 3))
             expected = np.sqrt(np.maximum(std**2 - left2, LEAST_SHOWN * std**2))
             refuted = bool((np.abs(moved) > REFUTED * expected)[std > 0.0].any())
             off = float(np.linalg.norm(moved))
@@ -423,7 +425,7 @@ class JointFilter:
             now=self._now, born=self._born, first=first, site_of=site,
             given=self._given(measurements), z=v.z, gap=v.gap, tables=tables,
             noise=Noise(single=v.single, many=v.many, merged=v.merged, diffuse=1.0 / np.sqrt(measurements.ports)),
-            births=births(v.z, v.fresh, measurements.begins, self._elevation_variance), rules=rules,
+            births=births(v.z, v.fresh, measurements.begins, self._elevation_variance, rules.scatterers), rules=rules,
         )  # fmt: skip
 
     def _tables(self, step_s: float) -> tuple[Floats, Rules]:
@@ -441,7 +443,7 @@ class JointFilter:
             blocks=BlockLimits(
                 snapshots=min(max(round(o.block_s / step_s), 1), LONGEST), distance=BLOCK_M, turn=TURN
             ),
-            evidence=EVIDENCE, merge_rate=o.merge_rate,
+            evidence=EVIDENCE, merge_rate=o.merge_rate, scatterers=self._scatterers,
         )  # fmt: skip
         return tables, self._rules(rules, step_s)
 

@@ -44,6 +44,9 @@ class EkfSlamOptions(MeasurementOptions):
     component_step: float = Field(1.25, gt=0, le=3, description="distance of neighbouring components, in their widths")
     resolved_std_m: float = Field(15.0, gt=0, le=1000, description="a clock offset known to this is resolved, m")
     start_limit_s: float = Field(600.0, ge=0, le=1e5, description="the start ends at this time at the latest, s")
+    scatterers: bool | None = Field(
+        None, description="whether paths may be scattered at points, or be nothing lasting; none: as the recording says"
+    )
     step_probability: float = Field(
         1e-6, ge=0, lt=1, description="probability that a site's clock steps within a block, where it may; 0: never"
     )

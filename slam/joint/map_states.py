@@ -26,9 +26,13 @@ from cellslam.slam.joint.state.layout import (
     EXISTS,
     HITS,
     IDENT,
+    KIND,
+    LIGHT,
     LINK,
     MERGED,
+    MOST_SCORE,
     POSITION,
+    SCORE,
     SHARE,
     SPREAD,
     SURVEYED,
@@ -103,9 +107,10 @@ class Remembered:
             f.p[size + 3 * n : size + 3 * n + 3, size + 3 * n : size + 3 * n + 3] += own
         for n, vt in enumerate(which.tolist()):
             j, places = count + n, size + 3 * n + np.arange(3)
-            f.vts.slots[j] = self.link[vt], known.hits[vt], now - 1, self.first_ident + vt, 1, 0, 0
+            f.vts.slots[j] = self.link[vt], known.hits[vt], now - 1, self.first_ident + vt, 1, 0, 0, 0
             f.vts.anchor[j, :3] = known.anchor_m[vt]
             f.vts.anchor[j, [EXISTS, SHARE]], f.vts.anchor[j, [MERGED, WORTH]] = 1.0, 0.0
+            f.vts.anchor[j, SCORE] = MOST_SCORE
             f.vts.state[j], f.vts.state[j, VT : VT + 3] = -1, places
             f.owner[places] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
             f.vts.spread[j] = 0.0
@@ -145,10 +150,11 @@ class Observed(NamedTuple):
 
 def map_after(f: Filter, lost: Floats, observed: Observed, before: Remembered | None, confirm: int) -> VtMap:
     """Return the map after a drive: VTs that were seen, with `confirm` detections, those that made room, `lost`
-    (E, 14), and those of the map before that were not seen; what was missed too often is left out, and what was
-    surveyed, which the next drive knows without the map."""
+    (E, 15), and those of the map before that were not seen; what was missed too often is left out, and what was
+    surveyed, which the next drive knows without the map, and scatterers, which the map has no place for."""
     slots = f.vts.slots[: f.count[0]]
-    fit = (slots[:, HITS] >= confirm) & (f.vts.anchor[: len(slots), SHARE] > 0.5) & (slots[:, SURVEYED] == 0)
+    share, score = f.vts.anchor[: len(slots), SHARE], f.vts.anchor[: len(slots), SCORE]
+    fit = (slots[:, HITS] >= confirm) & (share > 0.5) & (score > 0.0) & (slots[:, SURVEYED] + slots[:, LIGHT] == 0)
     mine = np.flatnonzero(fit & np.isin(slots[:, IDENT], list(observed.seen)))
     states = f.vts.state[mine, VT : VT + 3]
     joint = np.concatenate([states.ravel(), np.arange(f.core.first_common, f.core.size)])
@@ -192,11 +198,12 @@ def _made_room(
     ours = range(0) if before is None else range(before.first_ident, before.first_ident + len(before.known))
     ident = lost[:, 0].astype(np.int64)
     new = np.array([i in observed.seen and i not in there and i not in ours for i in ident.tolist()], np.bool_)
+    new &= lost[:, KIND] == 0.0
     lost, ident = lost[new], ident[new]
     middle = np.array([[*np.mean(observed.seen[i], axis=0), 0.0] for i in ident.tolist()]).reshape(-1, 3)
     hits, at = np.full(len(lost), confirm), lost[:, POSITION:SPREAD]
     out = _listed(observed, ident, lost[:, 1].astype(np.int64), at, middle, hits)
-    own = lost[:, SPREAD:].reshape(-1, 3, 3)
+    own = lost[:, SPREAD:KIND].reshape(-1, 3, 3)
     return replace(out, own_m2=own, common_m=np.zeros((len(lost), 3, common)))
 
 

@@ -29,10 +29,14 @@ from cellslam.slam.joint.state.layout import (
     FREE,
     HITS,
     IDENT,
+    KIND,
     LAST,
+    LIGHT,
     LINK,
     MERGED,
+    MOST_SCORE,
     POSITION,
+    SCORE,
     SHARE,
     SPREAD,
     SURVEYED,
@@ -233,6 +237,7 @@ class Mixture:
             f.vts.slots[:, j, [LINK, HITS, LAST, IDENT, SURVEYED]] = link[j], KNOWN, last, ident[j], 1
             f.vts.anchor[:, j, :3] = here
             f.vts.anchor[:, j, [EXISTS, SHARE]], f.vts.anchor[:, j, [MERGED, WORTH]] = 1.0, 0.0
+            f.vts.anchor[:, j, SCORE], f.vts.slots[:, j, LIGHT] = MOST_SCORE, 0
             at = first + 3 * j + np.arange(3)
             f.vts.state[:, j], f.vts.state[:, j, VT : VT + 3] = -1, at
             f.owner[:, at] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
@@ -297,11 +302,11 @@ class Mixture:
         return differing(self.arrays.x[:, of], self.covariances(of), log_odds, likely)
 
     def lost(self, index: int) -> Floats:
-        """Return the confirmed VTs (v, 14) of one filter that made room in the last snapshot, as `vts` does."""
+        """Return the confirmed VTs (v, 15) of one filter that made room in the last snapshot, as `vts` does."""
         return self.arrays.lost.rows[index, : int(self.arrays.lost.used[index, 0])]
 
     def vts(self, index: int, hits: int) -> Floats:
-        """Return identity, link, position (m), covariance (v, 14) of a filter's VTs with at least `hits` detections."""
+        """Return the VTs (v, 15) of a filter that have a say, with at least `hits` detections, as `map_of` does."""
         return map_of(self.arrays, index, hits)
 
 
@@ -364,6 +369,7 @@ def _padded(tables: Any, more: int, axis: int) -> Any:
 
 
 def vt_estimate(rows: Floats) -> VtEstimate:
-    """Return rows (v, 14) of identity, link, position (m) and covariance (m^2) as VTs."""
+    """Return rows (v, 15) of identity, link, position (m), covariance (m^2) and kind as VTs."""
     ids, link = rows[:, :POSITION].T.astype(np.int64)
-    return VtEstimate(ids, link, rows[:, POSITION:SPREAD], rows[:, SPREAD:].reshape(-1, 3, 3))
+    position, covariance = rows[:, POSITION:SPREAD], rows[:, SPREAD:KIND].reshape(-1, 3, 3)
+    return VtEstimate(ids, link, position, covariance, rows[:, KIND] == 1.0)

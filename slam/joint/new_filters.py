@@ -14,8 +14,10 @@ from cellslam.slam.joint.snapshot.sizes_kernel import SIZES
 from cellslam.slam.joint.state.layout import (
     ANCHOR,
     ENTRY,
+    MOST_SCORE,
     NOBODY,
     POSE,
+    SCORE,
     SHARE,
     SLOT,
     VT_STATES,
@@ -134,7 +136,7 @@ def new_mixture(
         for std, grid in ((errors.calibration, errors.calibration_grid), (errors.roof, errors.roof_grid))
     )
     anchor = np.zeros((k, vts, ANCHOR))
-    anchor[:, :, SHARE] = 1.0
+    anchor[:, :, SHARE], anchor[:, :, SCORE] = 1.0, MOST_SCORE
     places, slots = np.full((k, vts, VT_STATES), -1), np.zeros((k, vts, SLOT), whole)
     arrays = Filter(
         core=core, x=x, p=p, size=np.full((k, 1), core.size), owner=np.full((k, states), NOBODY),

@@ -38,7 +38,7 @@ import numpy as np
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
-from cellslam.slam.joint.state.layout import HITS, IDENT, LINK, SHARE, SURVEYED, VT, Filter
+from cellslam.slam.joint.state.layout import HITS, IDENT, LIGHT, LINK, SCORE, SHARE, SURVEYED, VT, Filter
 from cellslam.slam.model.walls import image_in_wall, mirror_plane, normals, quarter_turned, reflection_point
 
 SITE_M = 15.0  # a VT this near to its site is the site once more
@@ -91,7 +91,9 @@ def ends_of(f: Filter, images: Sequence[Image]) -> tuple[Floats, Floats, Ints]:
 
 def images_of(f: Filter, seen: Places, hits: int) -> list[Image]:
     """Return the images among a filter's VTs with so many detections, on links whose site is among them."""
-    slots = np.flatnonzero((f.vts.slots[: f.count[0], HITS] >= hits) & (f.vts.anchor[: f.count[0], SHARE] > 0.5))
+    anchor, mirrored = f.vts.anchor[: f.count[0]], f.vts.slots[: f.count[0], LIGHT] == 0
+    fit = (f.vts.slots[: f.count[0], HITS] >= hits) & (anchor[:, SHARE] > 0.5) & (anchor[:, SCORE] > 0.0) & mirrored
+    slots = np.flatnonzero(fit)
     surveyed = f.vts.slots[slots, SURVEYED] == 1  # seen or not
     slots = slots[surveyed | np.isin(f.vts.slots[slots, IDENT], list(seen))]
     found = list[Image]()

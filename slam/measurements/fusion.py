@@ -22,7 +22,7 @@ from scipy.special import binom
 
 from cellslam.sim.compiling import njit, part
 from cellslam.sim.recording import Floats, Ints, Links
-from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
+from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
 Options = TypeVar("Options", bound=MeasurementOptions)
@@ -93,7 +93,7 @@ class Fusion(Generic[Options]):
         if association is not None:
             association = association[fused.of]
         if vts is not None:
-            vts = VtEstimate(vts.id, self._first[vts.link], vts.position_m, vts.covariance)
+            vts = replace(vts, link=self._first[vts.link])
         return replace(estimate, association=association, vts=vts)
 
 

@@ -63,6 +63,7 @@ def load(folder: Path, *, robot: int = 1, association: str = "unknown", sites: s
         noise=SHEET,
         reference=ReferenceTable(truth[:, 0], truth[:, 1:3], truth[:, 3]),
         plane=True,
+        scatterers=False,  # landmarks are measured themselves
         about={
             "campaign": "MRCLAM",
             "description": f"{folder.name}, robot {robot}, association {association}"

@@ -77,6 +77,7 @@ def load(folder: Path) -> Campaign:
         noise=SHEET,
         reference=ReferenceTable(fixes_s[kept], fixes[kept]),
         plane=True,
+        scatterers=False,  # landmarks are measured themselves
         range_scale_std=0.0,  # a laser's pulses are timed to centimetres at any distance
         about={"campaign": "Victoria Park"},
     )

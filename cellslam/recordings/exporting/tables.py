@@ -109,6 +109,7 @@ def _write_manifest(recording: Recording, made: Tables, place: Path, sources: Ma
         "description": str(r.provenance.get("description") or "exported by cellslam"),
         "plane": r.plane,
         "range_scale_std": float(r.range_scale_std),
+        "scatterers": r.scatterers,
         "measurements": table("measurements", link={"column": "link"}),
         "snapshots": table("snapshots"),
         "start": {

@@ -59,7 +59,8 @@ class Campaign:
     rad counter-clockwise from east, NaN where it is not known.
     `start_pose`: None takes it from the reference. `snapshots_s`: times of all snapshots, empty ones too; None: the
     times of the measurements. `noise`: OdometryModel's fields by name, each (6,). `range_scale_std`: deviation of the
-    scale by which all distances may be measured too long; 0: it is known to be right.
+    scale by which all distances may be measured too long; 0: it is known to be right. `scatterers`: whether points may
+    scatter paths, beside walls that mirror them; False for landmarks that are measured themselves.
     """
 
     time_s: ArrayLike
@@ -79,6 +80,7 @@ class Campaign:
     snapshots_s: ArrayLike | None = None
     plane: bool = False
     range_scale_std: float = RANGE_SCALE_STD
+    scatterers: bool = True
     about: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -118,6 +120,7 @@ def build(campaign: Campaign) -> Recording:
         reference=reference,
         plane=campaign.plane,
         range_scale_std=campaign.range_scale_std * ("distance_m" in campaign.columns),
+        scatterers=campaign.scatterers and {"distance_m", "azimuth_rad"} <= campaign.columns.keys(),
     )
 
 

@@ -63,6 +63,7 @@ def campaign_of(folder: Path, manifest: Manifest) -> Campaign:
         snapshots_s=None if manifest.snapshots is None else read_table(folder, manifest, "snapshots").time_s,
         plane=manifest.plane,
         range_scale_std=manifest.range_scale_std,
+        scatterers=manifest.scatterers,
         about=about,
     )
 

@@ -157,6 +157,10 @@ class Manifest(Table):
         RANGE_SCALE_STD, ge=0, le=0.5, description="deviation of the scale by which all distances may be measured too "
         "long; 0: it is known to be right",
     )  # fmt: skip
+    scatterers: bool = Field(
+        True, description="whether points may scatter paths, beside walls that mirror them; false: each path comes "
+        "straight from where it seems to, as of landmarks, or over walls",
+    )  # fmt: skip
     measurements: PathTable
     start: Start
     snapshots: FileTable | None = None

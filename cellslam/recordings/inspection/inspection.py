@@ -33,6 +33,7 @@ def inspected(recording: Recording) -> dict[str, Any]:
         "start": {"pose": _short(r.start_pose), "std": _short(r.start_std)},
         "plane": r.plane,
         "range_scale_std": float(r.range_scale_std),
+        "scatterers": r.scatterers,
         "missing": _missing(r),
         "suspicions": [{"kind": s.kind, "text": s.text} for s in suspicions(r)],
         "description": str(r.provenance.get("description") or r.provenance.get("campaign") or ""),

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from cellslam.sim.compiling import lean
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.joint.snapshot.birth_kernel import is_guess, possible
+from cellslam.slam.joint.snapshot.birth_kernel import possible
 from cellslam.slam.joint.snapshot.sight_kernel import (
     Sight,
     believed,
@@ -29,6 +29,7 @@ from cellslam.slam.joint.snapshot.sight_kernel import (
     roof_first,
     rotations_of,
 )
+from cellslam.slam.joint.snapshot.trial_kernel import is_guess
 from cellslam.slam.joint.snapshot.update_kernel import LOG_2PI, Innovation, covariance, innovate, log_likelihood
 from cellslam.slam.joint.state.layout import (
     BELIEF,

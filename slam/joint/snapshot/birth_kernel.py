@@ -1,16 +1,17 @@
 """Compiled: VTs begin, make room, and end; the map in the world frame.
 
-A VT whose distance or azimuth was not measured begins as several guesses, of which time leaves one. A lone distance
-begins VTs around the circle, a lone direction begins VTs at distances that double, all of them with one identity and a
-share of the probability each: a Gaussian sum for one VT. While guesses are left, measurements correct them and their
-shares, but not the pose or the clock offset, which are considered only: whatever a wrong guess would teach does no
-harm. Guesses that agree become one, and the last one is a VT like any other.
+A VT whose distance or azimuth was not measured begins as several guesses, of which time leaves one (`trial_kernel`): a
+lone distance begins VTs around the circle, a lone direction begins VTs at distances that double. Where paths may be
+scattered, a distance with an azimuth begins a mirror image and a scatterer: it is where the ray meets the ellipsoid of
+points with this length of path from the light, r being that length, l the light from here, u the direction,
+
+    |d u - l| + d = r,    d = (r^2 - |l|^2) / (2 (r - u l)).
+
+What lights it is the nearest VT of the link, the transmitter if that has been seen.
 
 Sources: paper, eq. 26 and 27; Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics",
-1990: the state augmented and marginalised, covariances through Jacobians; Alspach and Sorenson, "Nonlinear Bayesian
-estimation using Gaussian sum approximations", IEEE Trans. Automatic Control 17(4), 1972; Sola et al., "Undelayed
-initialization in bearing only SLAM", IROS 2005 (distances that grow geometrically); Schmidt, "Application of
-state-space methods to navigation problems", 1966 (considered states).
+1990: the state augmented and marginalised, covariances through Jacobians; Sola et al., "Undelayed initialization in
+bearing only SLAM", IROS 2005 (distances that grow geometrically); scatterers: own derivation.
 """
 
 from __future__ import annotations
@@ -21,33 +22,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.compiling import lean, njit, part
-from cellslam.sim.frames.frames_kernel import TURN, wrap
+from cellslam.sim.frames.frames_kernel import TURN
 from cellslam.sim.recording import Floats
 from cellslam.slam.joint.snapshot.sight_kernel import (
+    LEAST_EXCESS_M,
     Sight,
     coordinates,
     errors_of,
     geometry,
+    place_of,
     range_factor,
     roof_first,
     rotations_of,
 )
 from cellslam.slam.joint.snapshot.sizes_kernel import count_weight
-from cellslam.slam.joint.snapshot.update_kernel import (
-    LOG_2PI,
-    BlockMeasurement,
-    Innovation,
-    Pending,
-    blank,
-    compare,
-    correct,
-    expected_share,
-    gains,
-    innovate,
-    log_likelihood,
-    settle,
-    times,
-)
+from cellslam.slam.joint.snapshot.trial_kernel import UNTRIED, is_guess
+from cellslam.slam.joint.snapshot.update_kernel import Pending, expected_share, gains, times
 from cellslam.slam.joint.state.layout import (
     BELIEF,
     BEYOND,
@@ -57,12 +47,16 @@ from cellslam.slam.joint.state.layout import (
     FREE,
     HITS,
     IDENT,
+    KIND,
     LAST,
+    LIGHT,
     LINK,
     MERGED,
+    MOST_SCORE,
     OF_VT,
     POSE,
     POSITION,
+    SCORE,
     SHARE,
     SPREAD,
     SURVEYED,
@@ -83,12 +77,15 @@ from cellslam.slam.model.matrices_kernel import (
     Mat3,
     Sym3,
     Vec3,
-    cholesky,
+    columns,
     congruence,
+    dot,
     mat_mat,
+    mat_minus,
     mat_vec,
     put_sym,
-    solved,
+    transposed_vec,
+    vec_minus,
     vec_scaled,
 )
 from cellslam.slam.model.measurement_kernel import cartesian_jacobian, direction, spherical, spherical_jacobian
@@ -98,8 +95,8 @@ UNKNOWN = 0.9999  # variance, of 1, from which an error is as good as unknown
 AROUND, AHEAD = 20, 7  # guesses of an azimuth, of a distance
 FIRST_M, FARTHER = 15.0, 2.0  # first distance, ratio of one to the next
 WIDTH = 0.5  # deviation of a guess, in distances of neighbours
-LEAST = 1e-5  # share below which a guess is given up
-AGREE = 0.5  # guesses this close, in their deviations, are one
+LEAST_OPENING = 0.05  # of 1 + cosine between the ways to a scatterer: on the line of sight its place is not told
+SEEN_AGAIN = 1_000_000  # m: a VT seen once lights nothing where there is one that was seen again
 
 
 @lean
@@ -112,20 +109,28 @@ def give_birth(
 
     z, q (3,): the measurement in m and rad, and its variances; ranged: the distance was measured, with the clock offset
     in it; diffuse: share of the diffuse errors in it. With D the Jacobian by the VT and H that by all other states, the
-    VT is D^-1 (z - H x): its covariance D^-1 (H P H^T + R) D^-T, that with the others -D^-1 H P.
+    VT is D^-1 (z - H x): its covariance D^-1 (H P H^T + R) D^-T, that with the others -D^-1 H P. For a scatterer D is
+    that of a mirror image, and what its excess adds, e_1 g^T (inverse: Sherman and Morrison, 1950).
     """
     first = f.size[0]
     if first + 3 > len(f.x):
         return False
     for c in range(3):
         enter(f, owner_of(j, VT + c, f.vts.state.shape[1]), 0.0)
-    turned, here, factor = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), range_factor(f)
+    turned, here, factor, light = (
+        rotations_of(f),
+        Vec3(f.x[0], f.x[1], f.x[2]),
+        range_factor(f),
+        f.vts.slots[j, LIGHT] - 1,
+    )
     f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2] = here.x, here.y, here.z
     errors = Vec3(0.0, 0.0, 0.0)
     for _ in range(2):  # where it points to, and once more from there, with the errors of that direction
         away = (z[0] - errors.x - (f.x[offset] if ranged else 0.0)) / factor
         to = spherical(mat_vec(turned.r, direction(z[1] - errors.y, z[2] - errors.z)))
         at = f.vts.state[j]
+        if light >= 0:
+            away = on_ellipsoid(vec_minus(place_of(f, light), here), direction(to.azimuth, to.elevation), away)
         f.x[at[VT]], f.x[at[VT + 1]], f.x[at[VT + 2]] = max(away, NEAREST_M), to.azimuth, to.elevation
         seen = geometry(f, j, offset, here, turned, coordinates(f, j), s)
         errors = errors_of(f, a, j, seen, diffuse, 1.0, now, s)
@@ -135,9 +140,19 @@ def give_birth(
             s.by[0, POSE + 1] = 0.0
     vt = coordinates(f, j)
     world = vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)
-    by = cartesian_jacobian(seen.distance / factor, seen.azimuth, seen.elevation)
+    far = seen.distance / factor if light < 0 else vt.distance
+    by = cartesian_jacobian(far, seen.azimuth, seen.elevation)
     by = Mat3(by.xx / factor, by.xy, by.xz, by.yx / factor, by.yy, by.yz, by.zx / factor, by.zy, by.zz)
     inverse = mat_mat(mat_mat(spherical_jacobian(world), turned.r), by)
+    if light >= 0:
+        way = vec_minus(place_of(f, j), place_of(f, light))
+        inverse = with_excess(
+            inverse,
+            transposed_vec(
+                cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation),
+                vec_scaled(way, factor / math.sqrt(dot(way, way))),
+            ),
+        )
     hph = gains(f, s, w)  # the VT's own states have no variance yet
     spread = congruence(inverse, Sym3(hph.xx + q[0], hph.xy, hph.xz, hph.yy + q[1], hph.yz, hph.zz + q[2]))
     p, d, x, y, z_ = f.p, f.particles.deviation, first, first + 1, first + 2  # the states that have entered above
@@ -154,11 +169,56 @@ def give_birth(
 
 
 @lean
+def on_ellipsoid(to_light: Vec3, along: Vec3, length: float) -> float:
+    """Return how far away (m) in a direction (unit vector) a scatterer is, over which the path from the light, which is
+    seen at `to_light` (m), is so long (m)."""
+    return float((length * length - dot(to_light, to_light)) / (2.0 * max(length - dot(along, to_light), LEAST_EXCESS_M)))
+
+
+@lean
+def with_excess(inverse: Mat3, g: Vec3) -> Mat3:
+    """Return (D + e_1 g^T)^-1, given the inverse of D: by Sherman and Morrison."""
+    row, divisor = transposed_vec(inverse, g), 1.0 + inverse.xx * g.x + inverse.yx * g.y + inverse.zx * g.z
+    first = vec_scaled(Vec3(inverse.xx, inverse.yx, inverse.zx), 1.0 / divisor)
+    return mat_minus(inverse, columns(vec_scaled(first, row.x), vec_scaled(first, row.y), vec_scaled(first, row.z)))
+
+
+@lean
+def light_for(f: Filter, link: int, offset: int, z: Floats) -> int:
+    """Return the VT that lights what scatters a path with a measurement z (3,), -1: none that could.
+
+    A transmitter that was surveyed, or the mirror image that is nearest, of those that were seen again, if there are
+    any: nothing is nearer than the transmitter itself.
+    """
+    best, least, here = -1, math.inf, Vec3(f.x[0], f.x[1], f.x[2])
+    for j in range(f.count[0]):
+        slots = f.vts.slots[j]
+        if slots[LINK] == link and slots[LIGHT] == 0 and f.vts.anchor[j, SHARE] == 1.0:
+            way = vec_minus(place_of(f, j), here)
+            away = math.sqrt(dot(way, way))
+            away -= SEEN_AGAIN if slots[HITS] > 1 else 0.0
+            away -= SEEN_AGAIN if slots[SURVEYED] == 1 else 0.0
+            if away < least:
+                best, least = j, away
+    if best < 0:
+        return -1
+    way, length = vec_minus(place_of(f, best), here), (z[0] - f.x[offset]) / range_factor(f)
+    away = math.sqrt(dot(way, way))
+    if length < away + LEAST_EXCESS_M:
+        return -1
+    along = mat_vec(rotations_of(f).r, direction(z[1], z[2]))
+    far = on_ellipsoid(way, along, length)
+    opening = 1.0 + (far - dot(along, way)) / max(length - far, LEAST_EXCESS_M)
+    return best if far > NEAREST_M and opening > LEAST_OPENING else -1
+
+
+@lean
 def add(
     f: Filter, a: ArrayErrors, b: Block, seen: Measured, link: int, ident: int, k: int, z: Floats, q: Floats,
-    ranged: bool, s: Sight, w: Pending,
+    ranged: bool, scatters: bool, s: Sight, w: Pending,
 ) -> bool:  # fmt: skip
-    """Begin a VT with measurement k of a snapshot, as z with variances q (3,); return whether there was room.
+    """Begin a VT with measurement k of a snapshot, as z with variances q (3,), one that scatters or a mirror image;
+    return whether it could.
 
     Unconfirmed VTs make room before confirmed ones, then the longest unseen; confirmed ones given up are kept.
     """
@@ -175,7 +235,10 @@ def add(
             f.lost.used[0] += 1
         remove(f, b, int(j))
     new, offset = f.count[0], f.core.first_offset + seen.site_of[link]
-    f.vts.state[new] = -1
+    light = light_for(f, link, offset, z) if scatters else -1
+    if scatters and light < 0:
+        return False
+    f.vts.state[new], f.vts.slots[new, LIGHT] = -1, light + 1
     if not give_birth(f, a, new, offset, z, q, ranged, seen.noise.diffuse[k], seen.now, s, w):
         return False
     anchor, slots = f.vts.anchor[new], f.vts.slots[new]
@@ -183,6 +246,7 @@ def add(
     anchor[MERGED], anchor[WORTH] = expected_share(seen.rules.merge_rate), 0.0
     slots[LINK], slots[HITS], slots[LAST], slots[IDENT] = link, 1, seen.now, ident
     slots[UNSEEN], slots[BEYOND], slots[SURVEYED] = 0, 0, 0
+    anchor[SCORE] = UNTRIED if seen.rules.scatterers else MOST_SCORE
     f.vts.spread[new] = 0.0
     clear(b, new)
     f.count[0] = new + 1
@@ -202,10 +266,13 @@ def clear(b: Block, j: int) -> None:
 
 @lean
 def _gives_way(f: Filter, b: Block, now: int, confirm: int) -> int:
-    """Return the VT to give up for a new one, -1: none. What was surveyed stays."""
+    """Return the VT to give up for a new one, -1: none. What was surveyed stays, and what lights others."""
     worst, rank = -1, math.inf
     for j in range(f.count[0]):
-        if f.vts.slots[j, LAST] < now and b.sums.detections[j] == 0 and f.vts.slots[j, SURVEYED] == 0:
+        stays = f.vts.slots[j, SURVEYED] == 1
+        for i in range(f.count[0]):
+            stays = stays or f.vts.slots[i, LIGHT] == j + 1
+        if f.vts.slots[j, LAST] < now and b.sums.detections[j] == 0 and not stays:
             value = f.vts.slots[j, LAST] + (1e9 if f.vts.slots[j, HITS] >= confirm else 0.0)
             if value < rank:
                 worst, rank = j, value
@@ -214,11 +281,16 @@ def _gives_way(f: Filter, b: Block, now: int, confirm: int) -> int:
 
 @part
 def remove(f: Filter, b: Block, j: int) -> None:
-    """Drop VT j and what is its own; the last VT takes its number."""
+    """Drop VT j and what is its own; the last VT takes its number. What j has lit is lost, too."""
     for c in range(f.vts.state.shape[1]):
         if f.vts.state[j, c] >= 0:
             leave(f, f.vts.state[j, c])
     last = f.count[0] - 1
+    for i in range(f.count[0]):
+        if f.vts.slots[i, LIGHT] == j + 1:
+            f.vts.slots[i, LIGHT], f.vts.anchor[i, SHARE] = 0, 0.0
+        if f.vts.slots[i, LIGHT] == last + 1:
+            f.vts.slots[i, LIGHT] = j + 1
     if j != last:
         put(f.vts.anchor[j], f.vts.anchor[last])
         put(f.vts.slots[j], f.vts.slots[last])
@@ -242,7 +314,8 @@ def remove(f: Filter, b: Block, j: int) -> None:
 
 @part
 def keep(f: Filter, j: int, out: Floats) -> None:
-    """Write identity, link, position (3,) in m and covariance (9,) in m^2 of VT j into out (14,)."""
+    """Write identity, link, position (3,) in m, covariance (9,) in m^2 of VT j, and whether it scatters, into out
+    (15,)."""
     vt, at = coordinates(f, j), f.vts.state[j]
     x, y, z = at[VT], at[VT + 1], at[VT + 2]
     to_vt = vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)
@@ -260,19 +333,21 @@ def keep(f: Filter, j: int, out: Floats) -> None:
     out[0], out[1] = f.vts.slots[j, IDENT], f.vts.slots[j, LINK]
     out[POSITION], out[POSITION + 1] = f.vts.anchor[j, 0] + to_vt.x, f.vts.anchor[j, 1] + to_vt.y
     out[POSITION + 2] = f.vts.anchor[j, 2] + to_vt.z
-    put_sym(out[SPREAD:].reshape(3, 3), spread)
+    put_sym(out[SPREAD:KIND].reshape(3, 3), spread)
+    out[KIND] = 1.0 if f.vts.slots[j, LIGHT] > 0 else 0.0
 
 
 @njit(cache=True)
 def map_of(mixture: Filter, k: int, hits: int) -> Floats:
-    """Return the VTs of filter k of a mixture with at least `hits` detections, as their likely guesses, (v, 14).
+    """Return the VTs of filter k of a mixture with at least `hits` detections, as their likely guesses, (v, 15), and
+    none without a say.
 
     Columns as `keep` writes them, in m and m^2.
     """
     f, found = one_of(mixture, k), 0
     out = np.empty((f.count[0], ENTRY))
     for j in range(f.count[0]):
-        if f.vts.slots[j, HITS] >= hits and f.vts.anchor[j, SHARE] > 0.5:
+        if f.vts.slots[j, HITS] >= hits and f.vts.anchor[j, SHARE] > 0.5 and f.vts.anchor[j, SCORE] > 0.0:
             keep(f, j, out[found])
             found += 1
     return out[:found]
@@ -329,10 +404,11 @@ def possible(z: Floats, b: float) -> bool:
 
 
 @njit(cache=True)
-def births(z: Floats, q: Floats, begins: NDArray[np.bool_], flat: float) -> Births:
+def births(z: Floats, q: Floats, begins: NDArray[np.bool_], flat: float, scatterers: bool) -> Births:
     """Return measurements as VTs begin with them: those that may (m,), on the horizon where there is no elevation.
 
-    z (m, 3): in m and rad, NaN where not measured; q (m, 3): variances; flat: that of an elevation not measured, rad^2.
+    z (m, 3): in m and rad, NaN where not measured; q (m, 3): variances; flat: that of an elevation not measured, rad^2;
+    scatterers: whether paths may be scattered.
     """
     z, q, guesses = z.copy(), q.copy(), 0
     for k in range(len(z)):
@@ -342,6 +418,8 @@ def births(z: Floats, q: Floats, begins: NDArray[np.bool_], flat: float) -> Birt
             z[k] = math.nan
         elif math.isnan(z[k, 0]) != math.isnan(z[k, 1]):
             guesses += AROUND if math.isnan(z[k, 1]) else AHEAD
+        elif scatterers:
+            guesses += 1
     return Births(z=z, q=q, guesses=guesses)
 
 
@@ -364,123 +442,20 @@ def begin(
         elif not whole:
             guess[1] = TURN * n / AROUND
             wide[1] = (WIDTH * TURN / AROUND) ** 2
-        if add(f, a, b, seen, link, ident, k, guess, wide, ranged, s, w):
+        if add(f, a, b, seen, link, ident, k, guess, wide, ranged, False, s, w):
             f.vts.anchor[f.count[0] - 1, SHARE] = 1.0 / guesses
+    if (
+        whole
+        and seen.rules.scatterers
+        and light_for(f, link, f.core.first_offset + seen.site_of[link], z) >= 0
+        and add(f, a, b, seen, link, ident, k, guess, wide, True, True, s, w)
+    ):
+        for j in range(f.count[0]):
+            if is_guess(f, j, link, ident):
+                f.vts.anchor[j, SHARE] = 0.5
 
 
 @lean
 def _room_for(f: Filter, guesses: int) -> bool:
     """Return whether so many VTs can be added without that others make room."""
     return bool(f.count[0] + guesses <= len(f.vts.slots) and f.size[0] + 3 * guesses <= len(f.x))
-
-
-@lean
-def is_guess(f: Filter, i: int, link: int, ident: int) -> bool:
-    """Return whether VT i is a guess of this VT."""
-    return bool(f.vts.slots[i, IDENT] == ident and f.vts.slots[i, LINK] == link)
-
-
-@lean
-def correct_guesses(
-    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, rules: Rules, s: Sight, w: Pending
-) -> float:
-    """Update the guesses of the VT that j is one of by a measurement; return its log-density.
-
-    Guesses given up have the share 0.
-    """
-    if len(f.particles.weight) == 0:  # the rows of a filter with particles are needed until these are updated, too
-        settle(f, w)
-    slots, share = f.vts.slots, f.vts.anchor[:, SHARE]
-    link, ident, last, hits = slots[j, LINK], slots[j, IDENT], slots[j, LAST], slots[j, HITS]
-    best = -math.inf
-    for i in range(f.count[0]):
-        if is_guess(f, i, link, ident):
-            slots[i, LAST], slots[i, HITS] = last, hits
-            if share[i] > 0.0:
-                e, hph = compare(f, a, i, offset, measurement, s, w)
-                new = innovate(e, measurement.q, hph)
-                distance2, log_det = log_likelihood(new)
-                share[i] = math.log(share[i]) + max(-0.5 * (distance2 + log_det + new.measured * LOG_2PI), -1e6)
-                best = max(best, share[i])
-            else:
-                share[i] = -math.inf
-    total = 0.0
-    for i in range(f.count[0]):
-        if is_guess(f, i, link, ident):
-            share[i] = math.exp(share[i] - best)
-            total += share[i]
-    left, only = _unite(f, link, ident, total)
-    if left == 1:
-        share[only] = 1.0
-        correct(f, a, only, offset, measurement, rules, s, w)
-    else:
-        for i in range(f.count[0]):
-            if is_guess(f, i, link, ident) and share[i] > 0.0:
-                e, hph = compare(f, a, i, offset, measurement, s, w)
-                consider(f, i, innovate(e, measurement.q, hph), e, w)
-    return best + math.log(total)
-
-
-@lean
-def _unite(f: Filter, link: int, ident: int, total: float) -> tuple[int, int]:
-    """Make the shares of a VT's guesses sum to one, give up the improbable ones and doubles; return how many are left,
-    and the last of them."""
-    share = f.vts.anchor[:, SHARE]
-    for i in range(f.count[0]):
-        if is_guess(f, i, link, ident):
-            share[i] = share[i] / total if share[i] > LEAST * total else 0.0
-    for a in range(f.count[0]):
-        if not is_guess(f, a, link, ident) or share[a] == 0.0:
-            continue
-        for b in range(f.count[0]):
-            if b == a or not is_guess(f, b, link, ident) or share[b] == 0.0:
-                continue
-            if share[b] > share[a] or not _agree(f, a, b):
-                continue
-            share[a] += share[b]
-            share[b] = 0.0
-    left, last, total = 0, -1, 0.0
-    for i in range(f.count[0]):
-        if is_guess(f, i, link, ident) and share[i] > 0.0:
-            left, last = left + 1, i
-            total += share[i]
-    for i in range(f.count[0]):
-        if is_guess(f, i, link, ident):
-            share[i] /= total
-    return left, last
-
-
-@lean
-def _agree(f: Filter, i: int, j: int) -> bool:
-    """Return whether two guesses of one VT are the same by now."""
-    for c in range(3):
-        a, b = f.vts.state[i, VT + c], f.vts.state[j, VT + c]
-        gap = wrap(f.x[a] - f.x[b]) if c == 1 else f.x[a] - f.x[b]
-        if gap * gap > AGREE * AGREE * (f.p[a, a] + f.p[b, b]):
-            return False
-    return True
-
-
-@part
-def consider(f: Filter, j: int, new: Innovation, e: Vec3, w: Pending) -> None:
-    """Update VT j alone by an innovation, T being in w.t, and e with NaN where not measured; all else is considered:
-    covariances with it change, its own do not."""
-    p, t, at, n = f.p, w.t, f.vts.state[j], f.size[0]
-    root = cholesky(new.s)
-    if root.xx == 0.0:
-        return
-    blank(w, e)
-    whitened = solved(root, new.e)
-    for i in range(n):
-        u = solved(root, Vec3(t[0, i], t[1, i], t[2, i]))
-        t[0, i], t[1, i], t[2, i] = u.x, u.y, u.z
-    own = np.empty((3, n))
-    for c in range(3):
-        i = at[VT + c]
-        w.added[i] += t[0, i] * whitened.x + t[1, i] * whitened.y + t[2, i] * whitened.z
-        for k in range(n):
-            own[c, k] = p[i, k] - (t[0, i] * t[0, k] + t[1, i] * t[1, k] + t[2, i] * t[2, k])
-    for c in range(3):
-        i = at[VT + c]
-        put(p[i], own[c])
-        put(p[:, i], own[c])

@@ -1,7 +1,11 @@
 """Compiled: what a filter expects to measure of a VT, errors that persist included, and the Jacobian by its states.
 
-    z = diag(1 + k, 1, 1) h(pose, VT) + e_1 offset + calibration(direction) + roof(direction) + diffuse + turns + ground
-        + white,    k: scale of range
+    z = diag(1 + k, 1, 1) (h(pose, VT) + e_1 excess) + e_1 offset + calibration(direction) + roof(direction) + diffuse
+        + turns + ground + white,    k: scale of range
+
+A VT is where a path seems to come from. If it is a mirror image, the path is as long as it is far: the excess is 0. If
+it is a scatterer, a point that throws back what it is lit with, that came all the way from the light, another VT of the
+link: excess = |scatterer - light|. The light is the transmitter; an image of it lights what is seen over two bounces.
 
 The direction is the predicted one, in the body frame. Fields of direction are linear in their weights: a row of bells.
 Their slope is left out of the Jacobian: with it the filter takes an error of the pose for one of the array.
@@ -18,13 +22,14 @@ from typing import NamedTuple
 
 from cellslam.sim.compiling import lean
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.joint.state.layout import DIFFUSE, VT, ArrayErrors, Filter
+from cellslam.slam.joint.state.layout import DIFFUSE, LIGHT, POSE, VT, ArrayErrors, Filter
 from cellslam.slam.joint.state.states_kernel import enter, owner_of
 from cellslam.slam.model.field_kernel import Grid, bells
 from cellslam.slam.model.matrices_kernel import (
     Mat3,
     Vec3,
     columns,
+    dot,
     mat_mat,
     mat_vec,
     scaled,
@@ -45,6 +50,7 @@ from cellslam.slam.model.measurement_kernel import (
 )
 
 FLATTEST = 0.05  # cosine of an elevation, at least, where azimuths turn with pitch and roll
+LEAST_EXCESS_M = 1e-3  # a scatterer is not at its light
 PERMITTIVITY = 5.0  # of the ground, about that of concrete
 
 
@@ -104,15 +110,46 @@ def range_factor(f: Filter) -> float:
 
 
 @lean
+def place_of(f: Filter, j: int) -> Vec3:
+    """Return where VT j stands, in m."""
+    vt = coordinates(f, j)
+    to_vt = vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)
+    return vec_plus(Vec3(f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2]), to_vt)
+
+
+@lean
+def put_light(f: Filter, light: int, place: Vec3, around: Mat3, factor: float, s: Sight) -> float:
+    """Add to the Jacobian s, whose last columns are by a scatterer's coordinates, what these and those of its light do
+    to the range; return the excess (m).
+
+    place: of the scatterer (m), `around`: its derivative by the scatterer's coordinates; factor: 1 + k.
+    """
+    way, light_at, first = vec_minus(place, place_of(f, light)), f.vts.state[light], s.size[0] - 3
+    excess = math.sqrt(max(dot(way, way), LEAST_EXCESS_M**2))
+    by_place = vec_scaled(way, factor / excess)
+    own = transposed_vec(around, by_place)
+    s.by[0, first] += own.x
+    s.by[0, first + 1] += own.y
+    s.by[0, first + 2] += own.z
+    vt = coordinates(f, light)
+    by = transposed_vec(cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation), by_place)
+    put(s, light_at[VT], -by.x, 0.0, 0.0)
+    put(s, light_at[VT + 1], -by.y, 0.0, 0.0)
+    put(s, light_at[VT + 2], -by.z, 0.0, 0.0)
+    return excess
+
+
+@lean
 def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt: Spherical, s: Sight) -> Spherical:
-    """Begin the Jacobian s of a measurement of VT j with pose, clock offset, scale of range and VT; return h, scaled,
-    without the offset, in m and rad.
+    """Begin the Jacobian s of a measurement of VT j with pose, clock offset, scale of range, VT and light; return h,
+    scaled, without the offset, in m and rad.
 
     Seen from a place (m) with the rotation `turned`, the VT having these coordinates about its anchor. A place besides
     the present one, as that of an earlier measurement, turns with the vehicle.
     """
     anchor, at = Vec3(f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2]), f.vts.state[j]
-    to_vt = vec_minus(vec_plus(anchor, vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)), place)
+    point = vec_plus(anchor, vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance))
+    to_vt = vec_minus(point, place)
     body = transposed_vec(turned.r, to_vt)
     seen, factor, by = spherical(body), range_factor(f), spherical_jacobian(body)
     by_body = Mat3(factor * by.xx, factor * by.xy, factor * by.xz, by.yx, by.yy, by.yz, by.zx, by.zy, by.zz)
@@ -128,11 +165,17 @@ def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt:
     put(s, offset, 1.0, 0.0, 0.0)
     if f.core.range_scale >= 0:
         put(s, f.core.range_scale, seen.distance, 0.0, 0.0)
-    by_vt = mat_mat(by_place, cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation))
+    around = cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation)
+    by_vt = mat_mat(by_place, around)
     put(s, at[VT], by_vt.xx, by_vt.yx, by_vt.zx)
     put(s, at[VT + 1], by_vt.xy, by_vt.yy, by_vt.zy)
     put(s, at[VT + 2], by_vt.xz, by_vt.yz, by_vt.zz)
-    return Spherical(factor * seen.distance, seen.azimuth, seen.elevation)
+    if f.vts.slots[j, LIGHT] == 0:
+        return Spherical(factor * seen.distance, seen.azimuth, seen.elevation)
+    excess = put_light(f, f.vts.slots[j, LIGHT] - 1, point, around, factor, s)
+    if f.core.range_scale >= 0:
+        s.by[0, POSE + 1] += excess
+    return Spherical(factor * (seen.distance + excess), seen.azimuth, seen.elevation)
 
 
 @lean

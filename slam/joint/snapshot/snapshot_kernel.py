@@ -18,12 +18,13 @@ from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.joint.snapshot.association_kernel import FRESH, NO_BIRTH, Messages, Pairs, associate, believe
-from cellslam.slam.joint.snapshot.birth_kernel import begin, clear, correct_guesses, possible, tidy
+from cellslam.slam.joint.snapshot.birth_kernel import begin, clear, possible, tidy
 from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
 from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, forget, move
 from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, geometry, rotations_of
 from cellslam.slam.joint.snapshot.sizes_kernel import SWAY, count_motion, count_states
 from cellslam.slam.joint.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
+from cellslam.slam.joint.snapshot.trial_kernel import try_out
 from cellslam.slam.joint.snapshot.update_kernel import (
     LOG_2PI,
     BlockMeasurement,
@@ -194,8 +195,11 @@ def give_births(
     measurements that it does not explain."""
     rules = seen.rules
     for link in range(len(seen.first) - 1):
-        offset = f.core.first_offset + seen.site_of[link]
-        for k in range(seen.first[link], seen.first[link + 1]):
+        offset, start, stop = f.core.first_offset + seen.site_of[link], seen.first[link], seen.first[link + 1]
+        # Where paths may be scattered the shortest one begins first: what lights the others.
+        first = shortest(seen.births.z, w.slot_of, start, stop) if rules.scatterers else start
+        for turn in range(stop - start):
+            k = first if turn == 0 else start + turn - (1 if start + turn <= first else 0)
             if w.slot_of[k] != FRESH or not possible(seen.births.z[k], f.x[offset]):
                 continue
             ident = seen.born + k
@@ -208,6 +212,16 @@ def give_births(
             begin(f, a, b, seen, link, ident, k, s, p)
             if rules.association.mode == BELIEF:
                 f.vts.anchor[before : f.count[0], EXISTS] = w.exists[k]
+
+
+@lean
+def shortest(z: Floats, slot_of: Ints, start: int, stop: int) -> int:
+    """Return the measurement with the least distance of those from `start` to `stop` that begin a VT, or the first."""
+    best = start
+    for k in range(start, stop):
+        if slot_of[k] == FRESH and (slot_of[best] != FRESH or math.isnan(z[best, 0]) or z[k, 0] < z[best, 0]):
+            best = k
+    return best
 
 
 @lean
@@ -278,16 +292,17 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sigh
         )  # fmt: skip
         if slots[j, UNSEEN] == 1:
             count_surprise(f, a, j, offset, measurement, rules.association.gate, s, p)
-        if anchor[j, SHARE] < 1.0:
-            fit = correct_guesses(f, a, j, offset, measurement, rules, s, p)
-        else:
-            fit = correct(f, a, j, offset, measurement, rules, s, p)
         known = 0.0
         for c in range(3):
             if sums.measured[j, c] > 0.0:
                 known += 0.5 * (1.0 + LOG_2PI + math.log(q[c] + (diffuse * a.diffuse[c]) ** 2))
         # A pair's density counts as fit in so far as it is one VT's or another's; what any VT would have is evidence.
-        anchor[j, WORTH] += max(fit + known, UNLIKELY) + rules.evidence * (sums.odds[j] - sums.detections[j] * known)
+        evidence = rules.evidence * (sums.odds[j] - sums.detections[j] * known)
+        if anchor[j, SHARE] < 1.0 or rules.scatterers:
+            fit = try_out(f, a, j, offset, measurement, known + evidence, rules, s, p)
+        else:
+            fit = correct(f, a, j, offset, measurement, rules, s, p)
+        anchor[j, WORTH] += max(fit + known, UNLIKELY) + evidence
         clear(b, j)
 
 

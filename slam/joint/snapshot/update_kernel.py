@@ -23,7 +23,20 @@ from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry, range_factor
 from cellslam.slam.joint.snapshot.sizes_kernel import count_diffuse, count_white
-from cellslam.slam.joint.state.layout import DIFFUSE, HITS, LINK, MERGED, POSE, SHARE, ArrayErrors, Block, Filter, Rules
+from cellslam.slam.joint.state.layout import (
+    DIFFUSE,
+    HITS,
+    LIGHT,
+    LINK,
+    MERGED,
+    POSE,
+    SHARE,
+    VT,
+    ArrayErrors,
+    Block,
+    Filter,
+    Rules,
+)
 from cellslam.slam.model.arrays_kernel import downdate
 from cellslam.slam.model.matrices_kernel import (
     Sym3,
@@ -312,6 +325,7 @@ def innovate_particles(
             or at[0] == place
             or at[1] == place
             or at[2] == place
+            or is_of_light(f, j, place)
         ):
             continue  # geometry, clock and scale of range, which are above
         _subtract(far, across, up, Vec3(b0, b1, b2), d[place])
@@ -326,24 +340,45 @@ def innovate_particles(
 
 
 @lean
-def _seen_by(f: Filter, j: int, measurement: BlockMeasurement, particle: int) -> Spherical:
-    """Return the measured distance (m), without clock offset, and direction (rad) of VT j as a particle has both, or
-    the mean (-1)."""
+def is_of_light(f: Filter, j: int, place: int) -> bool:
+    """Return whether a state is a coordinate of what lights VT j."""
+    light = f.vts.slots[j, LIGHT] - 1
+    if light < 0:
+        return False
+    at = f.vts.state[light]
+    return bool(at[VT] == place or at[VT + 1] == place or at[VT + 2] == place)
+
+
+@lean
+def _place_as_by(f: Filter, j: int, particle: int) -> Vec3:
+    """Return where a particle has VT j, in m, or the mean (-1)."""
     at, x, d = f.vts.state[j], f.x, f.particles.deviation
-    distance, azimuth, elevation, place, turned = x[at[0]], x[at[1]], x[at[2]], measurement.place, measurement.turned.r
-    factor, scale = range_factor(f), f.core.range_scale
+    distance, azimuth, elevation = x[at[0]], x[at[1]], x[at[2]]
     if particle >= 0:
-        factor += d[scale, particle] if scale >= 0 else 0.0
         distance += d[at[0], particle]
         azimuth += d[at[1], particle]
         elevation += d[at[2], particle]
+    anchor = Vec3(f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2])
+    return vec_plus(anchor, vec_scaled(direction(azimuth, elevation), distance))
+
+
+@lean
+def _seen_by(f: Filter, j: int, measurement: BlockMeasurement, particle: int) -> Spherical:
+    """Return the measured distance (m), without clock offset, and direction (rad) of VT j as a particle has both, or
+    the mean (-1)."""
+    d, place, turned = f.particles.deviation, measurement.place, measurement.turned.r
+    factor, scale = range_factor(f), f.core.range_scale
+    if particle >= 0:
+        factor += d[scale, particle] if scale >= 0 else 0.0
         by = measurement.deviation[:, particle]
         place = Vec3(place.x + by[0], place.y + by[1], place.z + by[2])
         turned = rotations(measurement.pose[3] + by[3], measurement.pose[4] + by[4], measurement.pose[5] + by[5]).r
-    anchor = Vec3(f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2])
-    to_vt = vec_minus(vec_plus(anchor, vec_scaled(direction(azimuth, elevation), distance)), place)
-    seen = spherical(transposed_vec(turned, to_vt))
-    return Spherical(factor * seen.distance, seen.azimuth, seen.elevation)
+    point = _place_as_by(f, j, particle)
+    seen, light = spherical(transposed_vec(turned, vec_minus(point, place))), f.vts.slots[j, LIGHT] - 1
+    if light < 0:
+        return Spherical(factor * seen.distance, seen.azimuth, seen.elevation)
+    way = vec_minus(point, _place_as_by(f, light, particle))
+    return Spherical(factor * (seen.distance + math.sqrt(dot(way, way))), seen.azimuth, seen.elevation)
 
 
 @lean

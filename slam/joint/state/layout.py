@@ -15,19 +15,22 @@ NOBODY, OF_VT = -1, -2
 # States of a VT: range, azimuth, elevation about its anchor, and its diffuse errors in distance, azimuth, elevation.
 VT, DIFFUSE, VT_STATES = 0, 3, 6
 # Integers of a VT: link, detections, snapshot of the last one, identity, 1 while only a remembered map has it, 1 where
-# its wall is known not to reach: nothing is associated with it there; and 1 if it was known before the drive: it stays.
-LINK, HITS, LAST, IDENT, UNSEEN, BEYOND, SURVEYED, SLOT = range(8)
+# its wall is known not to reach: nothing is associated with it there; 1 if it was known before the drive: it stays; and
+# what it is: 0, a mirror image, or 1 + n, a scatterer that VT n lights (`sight_kernel`).
+LINK, HITS, LAST, IDENT, UNSEEN, BEYOND, SURVEYED, LIGHT, SLOT = range(9)
 # Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation);
 # what share a guess has in its VT (1: the only one, 0: given up); the probability that another path has merged
-# with that of the VT; and the log-ratio of the likelihood of its measurements to that of clutter.
-EXISTS, SHARE, MERGED, WORTH, ANCHOR = range(3, 8)
+# with that of the VT; the log-ratio of the likelihood of its measurements to that of clutter; and its track score: it
+# has its say in the update where that is positive (`trial_kernel`).
+EXISTS, SHARE, MERGED, WORTH, SCORE, ANCHOR = range(3, 9)
+MOST_SCORE = 6.0  # ever so many measurements that fit do not outweigh those that no longer do
 # What the measurements may do to the map.
 FREE, KNOWN_ASSOCIATION, KNOWN_MAP, BELIEF = range(4)
-# A VT of the map: identity, link, position (3), covariance (9).
-POSITION, SPREAD, ENTRY = 2, 5, 14
+# A VT of the map: identity, link, position (3), covariance (9), and 1 if it is a scatterer.
+POSITION, SPREAD, KIND, ENTRY = 2, 5, 14, 15
 # States that one measurement touches at most: pose, sway, ground, scale of range, clock offset, VT and its diffuse
-# errors; weights of five fields.
-TOUCHED = POSE + 3 + 1 + 1 + 1 + VT_STATES + 5 * MOST_BELLS
+# errors, what lights it; weights of five fields.
+TOUCHED = POSE + 3 + 1 + 1 + 1 + VT_STATES + 3 + 5 * MOST_BELLS
 
 
 class Core(NamedTuple):
@@ -98,8 +101,8 @@ class FieldWeights(NamedTuple):
 
 
 class Vts(NamedTuple):
-    """V VTs: `state` (V, 6): places of the states of each, -1 where there is none; `anchor` (V, 7) and integers `slots`
-    (V, 7), as above; `spread` (V, 6): covariance over the particles of what they expect to measure of each VT, xx, xy,
+    """V VTs: `state` (V, 6): places of the states of each, -1 where there is none; `anchor` (V, 9) and integers `slots`
+    (V, 8), as above; `spread` (V, 6): covariance over the particles of what they expect to measure of each VT, xx, xy,
     xz, yy, yz, zz in m and rad. A VT that is known exactly has states without variance."""
 
     state: Ints
@@ -109,7 +112,7 @@ class Vts(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """Confirmed VTs that were given up for others in a snapshot: `rows` (E, 14), of which `used` (1,)."""
+    """Confirmed VTs that were given up for others in a snapshot: `rows` (E, 15), of which `used` (1,)."""
 
     rows: Floats
     used: Ints
@@ -205,7 +208,8 @@ class Rules(NamedTuple):
     """Options of the compiled filters, by what they are about.
 
     `evidence`: share of detections and misses that counts in the log-likelihood; `step`: log-probability that a clock
-    which may step does so in a block; `merge_rate`: how often another path merges with that of a VT, 1/s; 0: never.
+    which may step does so in a block; `merge_rate`: how often another path merges with that of a VT, 1/s; 0: never;
+    `scatterers`: whether a VT may be a scatterer, or nothing that a filter has a model of: it must earn its say.
     """
 
     association: Association
@@ -215,6 +219,7 @@ class Rules(NamedTuple):
     existence: Existence = Existence()
     step: float = -math.inf
     merge_rate: float = 0.0
+    scatterers: bool = False
 
 
 class Noise(NamedTuple):
