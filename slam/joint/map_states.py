@@ -154,7 +154,8 @@ def map_after(f: Filter, lost: Floats, observed: Observed, before: Remembered | 
     surveyed, which the next drive knows without the map, and scatterers, which the map has no place for."""
     slots = f.vts.slots[: f.count[0]]
     share, score = f.vts.anchor[: len(slots), SHARE], f.vts.anchor[: len(slots), SCORE]
-    fit = (slots[:, HITS] >= confirm) & (share > 0.5) & (score > 0.0) & (slots[:, SURVEYED] + slots[:, LIGHT] == 0)
+    fit = (slots[:, HITS] >= confirm) & (share > 0.5) & (score > 0.0) & (slots[:, SURVEYED] == 0)
+    fit &= slots[:, LIGHT] <= 0
     mine = np.flatnonzero(fit & np.isin(slots[:, IDENT], list(observed.seen)))
     states = f.vts.state[mine, VT : VT + 3]
     joint = np.concatenate([states.ravel(), np.arange(f.core.first_common, f.core.size)])

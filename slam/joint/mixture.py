@@ -232,7 +232,7 @@ class Mixture:
         self.reserve(3 * len(link), len(link))
         f, first = self.arrays, self.core.size
         here = f.x[0, :3].copy()
-        f.count[:], f.size[:] = len(link), first + 3 * len(link)
+        f.count[:], f.size[:], f.lights[:, link] = len(link), first + 3 * len(link), 1 + np.arange(len(link))
         for j, offset in enumerate(position_m - here):
             f.vts.slots[:, j, [LINK, HITS, LAST, IDENT, SURVEYED]] = link[j], KNOWN, last, ident[j], 1
             f.vts.anchor[:, j, :3] = here

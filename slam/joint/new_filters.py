@@ -141,6 +141,7 @@ def new_mixture(
     arrays = Filter(
         core=core, x=x, p=p, size=np.full((k, 1), core.size), owner=np.full((k, states), NOBODY),
         count=np.zeros((k, 1), whole), links=np.ones((k, len(setup.links)), whole),
+        lights=np.zeros((k, len(setup.links)), whole),
         fields=FieldWeights(place=np.full((k, weights), -1), met=np.zeros((k, weights), whole)),
         vts=Vts(state=places, anchor=anchor, slots=slots, spread=np.zeros((k, vts, 6))),
         lost=Lost(rows=np.zeros((k, LOST, ENTRY)), used=np.zeros((k, 1), whole)),

@@ -91,7 +91,7 @@ def ends_of(f: Filter, images: Sequence[Image]) -> tuple[Floats, Floats, Ints]:
 
 def images_of(f: Filter, seen: Places, hits: int) -> list[Image]:
     """Return the images among a filter's VTs with so many detections, on links whose site is among them."""
-    anchor, mirrored = f.vts.anchor[: f.count[0]], f.vts.slots[: f.count[0], LIGHT] == 0
+    anchor, mirrored = f.vts.anchor[: f.count[0]], f.vts.slots[: f.count[0], LIGHT] <= 0
     fit = (f.vts.slots[: f.count[0], HITS] >= hits) & (anchor[:, SHARE] > 0.5) & (anchor[:, SCORE] > 0.0) & mirrored
     slots = np.flatnonzero(fit)
     surveyed = f.vts.slots[slots, SURVEYED] == 1  # seen or not

@@ -7,7 +7,9 @@ points with this length of path from the light, r being that length, l the light
 
     |d u - l| + d = r,    d = (r^2 - |l|^2) / (2 (r - u l)).
 
-What lights it is the nearest VT of the link, the transmitter if that has been seen.
+What lights it is the transmitter: the VT that was surveyed, or else the one that is nearest wherever it is seen, as
+nothing is nearer than the transmitter itself. Where one that has a say turns out to be nearer, the other one was an
+image, and what was held against it begins again.
 
 Sources: paper, eq. 26 and 27; Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics",
 1990: the state augmented and marginalised, covariances through Jacobians; Sola et al., "Undelayed initialization in
@@ -37,7 +39,14 @@ from cellslam.slam.joint.snapshot.sight_kernel import (
 )
 from cellslam.slam.joint.snapshot.sizes_kernel import count_weight
 from cellslam.slam.joint.snapshot.trial_kernel import UNTRIED, is_guess
-from cellslam.slam.joint.snapshot.update_kernel import Pending, expected_share, gains, times
+from cellslam.slam.joint.snapshot.update_kernel import (
+    BlockMeasurement,
+    Pending,
+    covariance,
+    expected_share,
+    gains,
+    times,
+)
 from cellslam.slam.joint.state.layout import (
     BELIEF,
     BEYOND,
@@ -96,7 +105,7 @@ AROUND, AHEAD = 20, 7  # guesses of an azimuth, of a distance
 FIRST_M, FARTHER = 15.0, 2.0  # first distance, ratio of one to the next
 WIDTH = 0.5  # deviation of a guess, in distances of neighbours
 LEAST_OPENING = 0.05  # of 1 + cosine between the ways to a scatterer: on the line of sight its place is not told
-SEEN_AGAIN = 1_000_000  # m: a VT seen once lights nothing where there is one that was seen again
+NEARER = 3.0  # deviations by which a VT is surely nearer than another one
 
 
 @lean
@@ -172,7 +181,9 @@ def give_birth(
 def on_ellipsoid(to_light: Vec3, along: Vec3, length: float) -> float:
     """Return how far away (m) in a direction (unit vector) a scatterer is, over which the path from the light, which is
     seen at `to_light` (m), is so long (m)."""
-    return float((length * length - dot(to_light, to_light)) / (2.0 * max(length - dot(along, to_light), LEAST_EXCESS_M)))
+    return float(
+        (length * length - dot(to_light, to_light)) / (2.0 * max(length - dot(along, to_light), LEAST_EXCESS_M))
+    )
 
 
 @lean
@@ -185,31 +196,38 @@ def with_excess(inverse: Mat3, g: Vec3) -> Mat3:
 
 @lean
 def light_for(f: Filter, link: int, offset: int, z: Floats) -> int:
-    """Return the VT that lights what scatters a path with a measurement z (3,), -1: none that could.
-
-    A transmitter that was surveyed, or the mirror image that is nearest, of those that were seen again, if there are
-    any: nothing is nearer than the transmitter itself.
-    """
-    best, least, here = -1, math.inf, Vec3(f.x[0], f.x[1], f.x[2])
-    for j in range(f.count[0]):
-        slots = f.vts.slots[j]
-        if slots[LINK] == link and slots[LIGHT] == 0 and f.vts.anchor[j, SHARE] == 1.0:
-            way = vec_minus(place_of(f, j), here)
-            away = math.sqrt(dot(way, way))
-            away -= SEEN_AGAIN if slots[HITS] > 1 else 0.0
-            away -= SEEN_AGAIN if slots[SURVEYED] == 1 else 0.0
-            if away < least:
-                best, least = j, away
-    if best < 0:
+    """Return the VT that lights what scatters a path with a measurement z (3,), -1: none that could."""
+    light, here = f.lights[link] - 1, Vec3(f.x[0], f.x[1], f.x[2])
+    if light < 0:
         return -1
-    way, length = vec_minus(place_of(f, best), here), (z[0] - f.x[offset]) / range_factor(f)
-    away = math.sqrt(dot(way, way))
-    if length < away + LEAST_EXCESS_M:
+    way, length = vec_minus(place_of(f, light), here), (z[0] - f.x[offset]) / range_factor(f)
+    if length < math.sqrt(dot(way, way)) + LEAST_EXCESS_M:
         return -1
     along = mat_vec(rotations_of(f).r, direction(z[1], z[2]))
     far = on_ellipsoid(way, along, length)
     opening = 1.0 + (far - dot(along, way)) / max(length - far, LEAST_EXCESS_M)
-    return best if far > NEAREST_M and opening > LEAST_OPENING else -1
+    return light if far > NEAREST_M and opening > LEAST_OPENING else -1
+
+
+@lean
+def relight(f: Filter, j: int, offset: int, measurement: BlockMeasurement, s: Sight) -> None:
+    """Take VT j, which has a say and was measured, for the transmitter if it is surely nearer than what was taken for
+    it: that one, and all that was held against it, has to begin again, and has no share any more."""
+    link = f.vts.slots[j, LINK]
+    light = f.lights[link] - 1
+    if light == j or f.vts.slots[j, LIGHT] > 0 or f.vts.anchor[j, SCORE] <= 0.0:
+        return
+    if light >= 0:
+        if f.vts.slots[light, SURVEYED] == 1:
+            return
+        h = geometry(f, light, offset, measurement.place, measurement.turned, coordinates(f, light), s)
+        apart = h.distance + f.x[offset] - measurement.z[0]
+        if not apart > NEARER * math.sqrt(covariance(f, s).xx + measurement.q[0]):
+            return
+    f.lights[link] = j + 1
+    for i in range(f.count[0]):
+        if i == light or (light >= 0 and abs(f.vts.slots[i, LIGHT]) == light + 1):
+            f.vts.anchor[i, SHARE] = 0.0
 
 
 @lean
@@ -287,10 +305,18 @@ def remove(f: Filter, b: Block, j: int) -> None:
             leave(f, f.vts.state[j, c])
     last = f.count[0] - 1
     for i in range(f.count[0]):
-        if f.vts.slots[i, LIGHT] == j + 1:
-            f.vts.slots[i, LIGHT], f.vts.anchor[i, SHARE] = 0, 0.0
-        if f.vts.slots[i, LIGHT] == last + 1:
-            f.vts.slots[i, LIGHT] = j + 1
+        light = f.vts.slots[i, LIGHT]
+        if light == j + 1:
+            f.vts.anchor[i, SHARE] = 0.0
+        if abs(light) == j + 1:
+            f.vts.slots[i, LIGHT] = 0
+        elif abs(light) == last + 1:
+            f.vts.slots[i, LIGHT] = j + 1 if light > 0 else -1 - j
+    for link in range(len(f.lights)):
+        if f.lights[link] == j + 1:
+            f.lights[link] = 0
+        elif f.lights[link] == last + 1:
+            f.lights[link] = j + 1
     if j != last:
         put(f.vts.anchor[j], f.vts.anchor[last])
         put(f.vts.slots[j], f.vts.slots[last])
@@ -453,6 +479,10 @@ def begin(
         for j in range(f.count[0]):
             if is_guess(f, j, link, ident):
                 f.vts.anchor[j, SHARE] = 0.5
+                if f.vts.slots[j, LIGHT] == 0:
+                    f.vts.slots[j, LIGHT] = -f.lights[link]
+    elif whole and seen.rules.scatterers and f.lights[link] == 0:
+        f.lights[link] = f.count[0]
 
 
 @lean

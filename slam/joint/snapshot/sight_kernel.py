@@ -170,7 +170,7 @@ def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt:
     put(s, at[VT], by_vt.xx, by_vt.yx, by_vt.zx)
     put(s, at[VT + 1], by_vt.xy, by_vt.yy, by_vt.zy)
     put(s, at[VT + 2], by_vt.xz, by_vt.yz, by_vt.zz)
-    if f.vts.slots[j, LIGHT] == 0:
+    if f.vts.slots[j, LIGHT] <= 0:
         return Spherical(factor * seen.distance, seen.azimuth, seen.elevation)
     excess = put_light(f, f.vts.slots[j, LIGHT] - 1, point, around, factor, s)
     if f.core.range_scale >= 0:

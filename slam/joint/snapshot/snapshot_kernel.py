@@ -18,7 +18,7 @@ from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.joint.snapshot.association_kernel import FRESH, NO_BIRTH, Messages, Pairs, associate, believe
-from cellslam.slam.joint.snapshot.birth_kernel import begin, clear, possible, tidy
+from cellslam.slam.joint.snapshot.birth_kernel import begin, clear, possible, relight, tidy
 from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
 from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, forget, move
 from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, geometry, rotations_of
@@ -268,7 +268,7 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sigh
     z, q, white = np.empty(3), np.empty(3), np.empty(3)
     slots, anchor, sums = f.vts.slots, f.vts.anchor, b.sums
     for j in range(f.count[0]):
-        if sums.detections[j] == 0:
+        if sums.detections[j] == 0 or anchor[j, SHARE] == 0.0:
             anchor[j, WORTH] += rules.evidence * sums.odds[j]
             clear(b, j)
             continue
@@ -300,6 +300,8 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sigh
         evidence = rules.evidence * (sums.odds[j] - sums.detections[j] * known)
         if anchor[j, SHARE] < 1.0 or rules.scatterers:
             fit = try_out(f, a, j, offset, measurement, known + evidence, rules, s, p)
+            if rules.scatterers:
+                relight(f, j, offset, measurement, s)
         else:
             fit = correct(f, a, j, offset, measurement, rules, s, p)
         anchor[j, WORTH] += max(fit + known, UNLIKELY) + evidence

@@ -16,7 +16,8 @@ NOBODY, OF_VT = -1, -2
 VT, DIFFUSE, VT_STATES = 0, 3, 6
 # Integers of a VT: link, detections, snapshot of the last one, identity, 1 while only a remembered map has it, 1 where
 # its wall is known not to reach: nothing is associated with it there; 1 if it was known before the drive: it stays; and
-# what it is: 0, a mirror image, or 1 + n, a scatterer that VT n lights (`sight_kernel`).
+# what it is: 1 + n, a scatterer that VT n lights, or a mirror image: -1 - n, it might as well have been such a
+# scatterer, or 0, none that anything known would light (`birth_kernel`).
 LINK, HITS, LAST, IDENT, UNSEEN, BEYOND, SURVEYED, LIGHT, SLOT = range(9)
 # Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation);
 # what share a guess has in its VT (1: the only one, 0: given up); the probability that another path has merged
@@ -140,7 +141,7 @@ class Filter(NamedTuple):
     """One filter, with room for n states and V VTs; or a mixture of them, all arrays with a leading axis.
 
     Mean `x` (n,) and covariance `p` (n, n), of which `size` (1,) are in use; `owner` (n,) of each state; `count` (1,):
-    VTs; `links` (L,): 1 where it uses a link.
+    VTs; `links` (L,): 1 where it uses a link; `lights` (L,): 1 + the VT that is taken for the transmitter, 0: none.
     """
 
     core: Core
@@ -150,6 +151,7 @@ class Filter(NamedTuple):
     owner: Ints
     count: Ints  # type: ignore[assignment]  # hides tuple.count
     links: Ints
+    lights: Ints
     fields: FieldWeights
     vts: Vts
     lost: Lost
@@ -306,7 +308,7 @@ def one_of(mixture: Filter, k: int) -> Filter:
     fields, vts, lost, learnt, particles = mixture.fields, mixture.vts, mixture.lost, mixture.learnt, mixture.particles
     return Filter(
         core=mixture.core, x=mixture.x[k], p=mixture.p[k], size=mixture.size[k], owner=mixture.owner[k],
-        count=mixture.count[k], links=mixture.links[k],
+        count=mixture.count[k], links=mixture.links[k], lights=mixture.lights[k],
         fields=FieldWeights(place=fields.place[k], met=fields.met[k]),
         vts=Vts(state=vts.state[k], anchor=vts.anchor[k], slots=vts.slots[k], spread=vts.spread[k]),
         lost=Lost(rows=lost.rows[k], used=lost.used[k]),
