@@ -38,7 +38,15 @@ class World(NamedTuple):
         return float(np.sqrt((error**2).sum(axis=1).mean()))
 
 
-def world(seed: int, share: float, features: int = 40, steps: int = 400, known: bool = False, random: int = 0) -> World:
+def world(
+    seed: int,
+    share: float,
+    features: int = 40,
+    steps: int = 400,
+    known: bool = False,
+    random: int = 0,
+    noise: float = 1.0,
+) -> World:
     """Return a world of so many features, a `share` of which are scatterers, and so many `random` paths a snapshot.
 
     `known`: the transmitter is surveyed.
@@ -58,7 +66,7 @@ def world(seed: int, share: float, features: int = 40, steps: int = 400, known: 
         seen = ((times[t] >= begin) & (times[t] < begin + SEEN_S)).any(axis=1) & (rng.random(features + 1) < DETECTED)
         seen[0] = rng.random() < DETECTED
         which = np.flatnonzero(seen)
-        z.append(_measured(pose, places[which], scatters[which]) + NOISE * rng.standard_normal((len(which), 3)))
+        z.append(_measured(pose, places[which], scatters[which]) + noise * NOISE * rng.standard_normal((len(which), 3)))
         away = np.linalg.norm(pose[:3] - TRANSMITTER) + rng.exponential(15.0, random)
         z.append(np.column_stack([away, rng.uniform(-np.pi, np.pi, random), rng.normal(0.0, 0.2, random)]))
         of += [which, np.full(random, -1)]

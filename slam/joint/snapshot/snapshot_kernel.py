@@ -303,7 +303,7 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sigh
             if rules.scatterers:
                 relight(f, j, offset, measurement, s)
         else:
-            fit = correct(f, a, j, offset, measurement, rules, s, p)
+            fit = correct(f, a, j, offset, measurement, 1.0, rules, s, p)
         anchor[j, WORTH] += max(fit + known, UNLIKELY) + evidence
         clear(b, j)
 

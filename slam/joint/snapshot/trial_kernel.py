@@ -111,34 +111,27 @@ def try_out(
             total += share[i]
     fit = best + math.log(total)
     left, only = _unite(f, link, ident, total, LEAST_KIND if rules.scatterers else LEAST)
-    has_say = left == 1
-    if rules.scatterers:
-        has_say = _judge(f, link, ident, left == 1, min(fit + against, fit - worse))
-    if has_say:
+    if left == 1:
         share[only] = 1.0
-        correct(f, a, only, offset, measurement, rules, s, w)
-    else:
-        for i in range(f.count[0]):
-            if is_guess(f, i, link, ident) and share[i] > 0.0:
+    has_say = _judge(f, link, ident, min(fit + against, fit - worse)) if rules.scatterers else left == 1
+    for i in range(f.count[0]):
+        if is_guess(f, i, link, ident) and share[i] > 0.0:
+            if has_say:
+                correct(f, a, i, offset, measurement, share[i], rules, s, w)
+            else:
                 e, hph = compare(f, a, i, offset, measurement, s, w)
                 consider(f, i, innovate(e, measurement.q, hph), e, w)
     return fit
 
 
 @lean
-def _judge(f: Filter, link: int, ident: int, decided: bool, gain: float) -> bool:
-    """Add to the track score of a VT; return whether it has a say. One that is lost has no share any more.
-
-    decided: one guess is left of it.
-    """
+def _judge(f: Filter, link: int, ident: int, gain: float) -> bool:
+    """Add to the track score of a VT; return whether it has a say. One that is lost has no share any more."""
     score, says = f.vts.anchor[:, SCORE], False
     for i in range(f.count[0]):
         if is_guess(f, i, link, ident):
             tried, after = score[i] > 0.0, score[i] + max(gain, -MOST_LOSS)
-            if tried:
-                score[i] = min(after, MOST_SCORE)
-            else:
-                score[i] = MOST_SCORE if decided and after >= 0.0 else min(after, 0.0)
+            score[i] = MOST_SCORE if after >= 0.0 and not tried else min(after, MOST_SCORE)
             if after <= (0.0 if tried else LOST):
                 f.vts.anchor[i, SHARE] = 0.0
             says = says or score[i] > 0.0

@@ -257,9 +257,13 @@ def add_up(f: Filter, w: Pending) -> None:
 
 @lean
 def correct(
-    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, rules: Rules, s: Sight, w: Pending
-) -> float:
-    """Take in what a measurement of VT j says of the whole state; return its log-density."""
+    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, part: float, rules: Rules, s: Sight,
+    w: Pending,
+) -> float:  # fmt: skip
+    """Take in what a measurement of VT j says of the whole state; return its log-density.
+
+    part: of the measurement that counts, the others being of other guesses.
+    """
     if w.used[0] + 6 > len(w.rows):
         settle(f, w)
     e, hph = compare(f, a, j, offset, measurement, s, w)
@@ -270,7 +274,7 @@ def correct(
     if rules.merge_rate > 0.0 and not math.isnan(e.y):
         allowed, lacks = allow_for_merging(f, j, new.e.y, new.s, measurement.q[1])
         new = Innovation(new.e, allowed, new.measured)
-    share = likely_share(new)
+    share = part * likely_share(new)
     count_sizes(f, j, measurement, Innovation(vec_scaled(new.e, math.sqrt(share)), plain, new.measured), w)
     widened = sym_scaled(new.s, 1.0 / share)
     counted = Innovation(new.e, sym_minus(widened, spread), new.measured)
