@@ -2,14 +2,13 @@
 
 A VT whose distance or azimuth was not measured begins as several guesses, of which time leaves one (`trial_kernel`): a
 lone distance begins VTs around the circle, a lone direction begins VTs at distances that double. Where paths may be
-scattered, a distance with an azimuth begins a mirror image and a scatterer: it is where the ray meets the ellipsoid of
-points with this length of path from the light, r being that length, l the light from here, u the direction,
+scattered, a distance r with an azimuth begins a mirror image and a scatterer. That is where the ray u meets the
+ellipsoid of points over which a path from the light l is so long,
 
     |d u - l| + d = r,    d = (r^2 - |l|^2) / (2 (r - u l)).
 
 What lights it is the transmitter: the VT that was surveyed, or else the one that is nearest wherever it is seen, as
-nothing is nearer than the transmitter itself. Where one that has a say turns out to be nearer, the other one was an
-image, and what was held against it begins again.
+nothing is nearer than the transmitter itself (`relight`).
 
 Sources: paper, eq. 26 and 27; Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics",
 1990: the state augmented and marginalised, covariances through Jacobians; Sola et al., "Undelayed initialization in
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 
 from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.frames.frames_kernel import TURN
-from cellslam.sim.recording import Floats
+from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.joint.snapshot.sight_kernel import (
     LEAST_EXCESS_M,
     Sight,
@@ -39,14 +38,7 @@ from cellslam.slam.joint.snapshot.sight_kernel import (
 )
 from cellslam.slam.joint.snapshot.sizes_kernel import count_weight
 from cellslam.slam.joint.snapshot.trial_kernel import UNTRIED, is_guess
-from cellslam.slam.joint.snapshot.update_kernel import (
-    BlockMeasurement,
-    Pending,
-    covariance,
-    expected_share,
-    gains,
-    times,
-)
+from cellslam.slam.joint.snapshot.update_kernel import Pending, covariance, expected_share, gains, times
 from cellslam.slam.joint.state.layout import (
     BELIEF,
     BEYOND,
@@ -86,11 +78,9 @@ from cellslam.slam.model.matrices_kernel import (
     Mat3,
     Sym3,
     Vec3,
-    columns,
     congruence,
     dot,
     mat_mat,
-    mat_minus,
     mat_vec,
     put_sym,
     transposed_vec,
@@ -118,28 +108,20 @@ def give_birth(
 
     z, q (3,): the measurement in m and rad, and its variances; ranged: the distance was measured, with the clock offset
     in it; diffuse: share of the diffuse errors in it. With D the Jacobian by the VT and H that by all other states, the
-    VT is D^-1 (z - H x): its covariance D^-1 (H P H^T + R) D^-T, that with the others -D^-1 H P. For a scatterer D is
-    that of a mirror image, and what its excess adds, e_1 g^T (inverse: Sherman and Morrison, 1950).
+    VT is D^-1 (z - H x): its covariance D^-1 (H P H^T + R) D^-T, that with the others -D^-1 H P.
     """
     first = f.size[0]
     if first + 3 > len(f.x):
         return False
     for c in range(3):
         enter(f, owner_of(j, VT + c, f.vts.state.shape[1]), 0.0)
-    turned, here, factor, light = (
-        rotations_of(f),
-        Vec3(f.x[0], f.x[1], f.x[2]),
-        range_factor(f),
-        f.vts.slots[j, LIGHT] - 1,
-    )
+    turned, here, factor = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), range_factor(f)
     f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2] = here.x, here.y, here.z
     errors = Vec3(0.0, 0.0, 0.0)
     for _ in range(2):  # where it points to, and once more from there, with the errors of that direction
         away = (z[0] - errors.x - (f.x[offset] if ranged else 0.0)) / factor
         to = spherical(mat_vec(turned.r, direction(z[1] - errors.y, z[2] - errors.z)))
         at = f.vts.state[j]
-        if light >= 0:
-            away = on_ellipsoid(vec_minus(place_of(f, light), here), direction(to.azimuth, to.elevation), away)
         f.x[at[VT]], f.x[at[VT + 1]], f.x[at[VT + 2]] = max(away, NEAREST_M), to.azimuth, to.elevation
         seen = geometry(f, j, offset, here, turned, coordinates(f, j), s)
         errors = errors_of(f, a, j, seen, diffuse, 1.0, now, s)
@@ -149,19 +131,9 @@ def give_birth(
             s.by[0, POSE + 1] = 0.0
     vt = coordinates(f, j)
     world = vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)
-    far = seen.distance / factor if light < 0 else vt.distance
-    by = cartesian_jacobian(far, seen.azimuth, seen.elevation)
+    by = cartesian_jacobian(seen.distance / factor, seen.azimuth, seen.elevation)
     by = Mat3(by.xx / factor, by.xy, by.xz, by.yx / factor, by.yy, by.yz, by.zx / factor, by.zy, by.zz)
     inverse = mat_mat(mat_mat(spherical_jacobian(world), turned.r), by)
-    if light >= 0:
-        way = vec_minus(place_of(f, j), place_of(f, light))
-        inverse = with_excess(
-            inverse,
-            transposed_vec(
-                cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation),
-                vec_scaled(way, factor / math.sqrt(dot(way, way))),
-            ),
-        )
     hph = gains(f, s, w)  # the VT's own states have no variance yet
     spread = congruence(inverse, Sym3(hph.xx + q[0], hph.xy, hph.xz, hph.yy + q[1], hph.yz, hph.zz + q[2]))
     p, d, x, y, z_ = f.p, f.particles.deviation, first, first + 1, first + 2  # the states that have entered above
@@ -178,65 +150,11 @@ def give_birth(
 
 
 @lean
-def on_ellipsoid(to_light: Vec3, along: Vec3, length: float) -> float:
-    """Return how far away (m) in a direction (unit vector) a scatterer is, over which the path from the light, which is
-    seen at `to_light` (m), is so long (m)."""
-    return float(
-        (length * length - dot(to_light, to_light)) / (2.0 * max(length - dot(along, to_light), LEAST_EXCESS_M))
-    )
-
-
-@lean
-def with_excess(inverse: Mat3, g: Vec3) -> Mat3:
-    """Return (D + e_1 g^T)^-1, given the inverse of D: by Sherman and Morrison."""
-    row, divisor = transposed_vec(inverse, g), 1.0 + inverse.xx * g.x + inverse.yx * g.y + inverse.zx * g.z
-    first = vec_scaled(Vec3(inverse.xx, inverse.yx, inverse.zx), 1.0 / divisor)
-    return mat_minus(inverse, columns(vec_scaled(first, row.x), vec_scaled(first, row.y), vec_scaled(first, row.z)))
-
-
-@lean
-def light_for(f: Filter, link: int, offset: int, z: Floats) -> int:
-    """Return the VT that lights what scatters a path with a measurement z (3,), -1: none that could."""
-    light, here = f.lights[link] - 1, Vec3(f.x[0], f.x[1], f.x[2])
-    if light < 0:
-        return -1
-    way, length = vec_minus(place_of(f, light), here), (z[0] - f.x[offset]) / range_factor(f)
-    if length < math.sqrt(dot(way, way)) + LEAST_EXCESS_M:
-        return -1
-    along = mat_vec(rotations_of(f).r, direction(z[1], z[2]))
-    far = on_ellipsoid(way, along, length)
-    opening = 1.0 + (far - dot(along, way)) / max(length - far, LEAST_EXCESS_M)
-    return light if far > NEAREST_M and opening > LEAST_OPENING else -1
-
-
-@lean
-def relight(f: Filter, j: int, offset: int, measurement: BlockMeasurement, s: Sight) -> None:
-    """Take VT j, which has a say and was measured, for the transmitter if it is surely nearer than what was taken for
-    it: that one, and all that was held against it, has to begin again, and has no share any more."""
-    link = f.vts.slots[j, LINK]
-    light = f.lights[link] - 1
-    if light == j or f.vts.slots[j, LIGHT] > 0 or f.vts.anchor[j, SCORE] <= 0.0:
-        return
-    if light >= 0:
-        if f.vts.slots[light, SURVEYED] == 1:
-            return
-        h = geometry(f, light, offset, measurement.place, measurement.turned, coordinates(f, light), s)
-        apart = h.distance + f.x[offset] - measurement.z[0]
-        if not apart > NEARER * math.sqrt(covariance(f, s).xx + measurement.q[0]):
-            return
-    f.lights[link] = j + 1
-    for i in range(f.count[0]):
-        if i == light or (light >= 0 and abs(f.vts.slots[i, LIGHT]) == light + 1):
-            f.vts.anchor[i, SHARE] = 0.0
-
-
-@lean
 def add(
     f: Filter, a: ArrayErrors, b: Block, seen: Measured, link: int, ident: int, k: int, z: Floats, q: Floats,
-    ranged: bool, scatters: bool, s: Sight, w: Pending,
+    ranged: bool, s: Sight, w: Pending,
 ) -> bool:  # fmt: skip
-    """Begin a VT with measurement k of a snapshot, as z with variances q (3,), one that scatters or a mirror image;
-    return whether it could.
+    """Begin a VT with measurement k of a snapshot, as z with variances q (3,); return whether there was room.
 
     Unconfirmed VTs make room before confirmed ones, then the longest unseen; confirmed ones given up are kept.
     """
@@ -253,17 +171,14 @@ def add(
             f.lost.used[0] += 1
         remove(f, b, int(j))
     new, offset = f.count[0], f.core.first_offset + seen.site_of[link]
-    light = light_for(f, link, offset, z) if scatters else -1
-    if scatters and light < 0:
-        return False
-    f.vts.state[new], f.vts.slots[new, LIGHT] = -1, light + 1
+    f.vts.state[new], f.vts.slots[new, LIGHT] = -1, 0
     if not give_birth(f, a, new, offset, z, q, ranged, seen.noise.diffuse[k], seen.now, s, w):
         return False
     anchor, slots = f.vts.anchor[new], f.vts.slots[new]
     anchor[EXISTS], anchor[SHARE] = 1.0, 1.0
     anchor[MERGED], anchor[WORTH] = expected_share(seen.rules.merge_rate), 0.0
     slots[LINK], slots[HITS], slots[LAST], slots[IDENT] = link, 1, seen.now, ident
-    slots[UNSEEN], slots[BEYOND], slots[SURVEYED] = 0, 0, 0
+    slots[UNSEEN], slots[BEYOND], slots[SURVEYED], slots[LIGHT] = 0, 0, 0, 0
     anchor[SCORE] = UNTRIED if seen.rules.scatterers else MOST_SCORE
     f.vts.spread[new] = 0.0
     clear(b, new)
@@ -280,6 +195,96 @@ def clear(b: Block, j: int) -> None:
     b.sums.measured[j] = 0.0
     b.sums.diffuse[j] = 0.0
     b.sums.odds[j] = 0.0
+
+
+@lean
+def scatterer_of(f: Filter, b: Block, j: int) -> None:
+    """Begin a scatterer as a second guess of what VT j is, if the light of its link may light one and there is room:
+    on the ray from the anchor to VT j, and over it the path is as long as VT j is far.
+
+    With e from the light to the scatterer, unit vectors, d depends on the states x of VT j and of the light by
+
+        dd (1 + u e) = dr - d (du e) + e dl,    so that the covariance of d with any state is (dd/dx) P.
+    """
+    link, n, new = f.vts.slots[j, LINK], f.size[0], f.count[0]
+    light = f.lights[link] - 1
+    if light < 0 or light == j or new == len(f.vts.slots) or n + 3 > len(f.x):
+        return
+    vt, anchor, at = coordinates(f, j), Vec3(f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2]), f.vts.state[j]
+    u, to_light = direction(vt.azimuth, vt.elevation), vec_minus(place_of(f, light), anchor)
+    if vt.distance < math.sqrt(dot(to_light, to_light)) + LEAST_EXCESS_M:
+        return
+    far = (vt.distance * vt.distance - dot(to_light, to_light)) / (2.0 * (vt.distance - dot(u, to_light)))
+    e = vec_scaled(vec_minus(vec_scaled(u, far), to_light), 1.0 / max(vt.distance - far, LEAST_EXCESS_M))
+    opening = 1.0 + dot(u, e)
+    if far < NEAREST_M or opening < LEAST_OPENING:
+        return
+    lit, turns = coordinates(f, light), transposed_vec(cartesian_jacobian(far, vt.azimuth, vt.elevation), e)
+    by = Vec3(1.0 / opening, -turns.y / opening, -turns.z / opening)
+    by_light = vec_scaled(
+        transposed_vec(cartesian_jacobian(lit.distance, lit.azimuth, lit.elevation), e), 1.0 / opening
+    )
+    p, d, at_light = f.p, f.particles.deviation, f.vts.state[light]
+    f.vts.state[new] = -1
+    for c in range(3):
+        enter(f, owner_of(new, VT + c, f.vts.state.shape[1]), 0.0)
+    f.x[n], f.x[n + 1], f.x[n + 2] = far, vt.azimuth, vt.elevation
+    for c in range(3):
+        own, of_light = at[VT + c], at_light[VT + c]
+        for i in range(n):
+            p[n, i] += (by.x, by.y, by.z)[c] * p[own, i] + (by_light.x, by_light.y, by_light.z)[c] * p[of_light, i]
+            p[n + c, i] = p[n + c, i] if c == 0 else p[own, i]
+        for i in range(len(f.particles.weight)):
+            d[n, i] += (by.x, by.y, by.z)[c] * d[own, i] + (by_light.x, by_light.y, by_light.z)[c] * d[of_light, i]
+            d[n + c, i] = d[n + c, i] if c == 0 else d[own, i]
+    for c in range(3):
+        for i in range(n):
+            p[i, n + c] = p[n + c, i]
+    for c in range(3):
+        own, of_light = at[VT + c], at_light[VT + c]
+        p[n, n] += (by.x, by.y, by.z)[c] * p[n, own] + (by_light.x, by_light.y, by_light.z)[c] * p[n, of_light]
+        if c > 0:
+            p[n, n + c] = p[n + c, n] = p[n, own]
+            p[n + c, n + 1], p[n + c, n + 2] = p[own, at[VT + 1]], p[own, at[VT + 2]]
+    put(f.vts.anchor[new], f.vts.anchor[j])
+    put(f.vts.slots[new], f.vts.slots[j])
+    put(f.vts.spread[new], f.vts.spread[j])
+    f.vts.slots[new, LIGHT], f.vts.slots[j, LIGHT] = light + 1, -1 - light
+    f.vts.anchor[new, SHARE], f.vts.anchor[j, SHARE], f.vts.anchor[new, WORTH] = 0.5, 0.5, 0.0
+    clear(b, new)
+    f.count[0] = new + 1
+
+
+@lean
+def relight(f: Filter, b: Block, seen: Measured, link: int, slot_of: Ints, s: Sight) -> None:
+    """Take a mirror image for the transmitter of a link if it has a say and is measured, as VT slot_of (m,), surely
+    nearer than what was taken for it. That one was an image, then, and what it has lit are scatterers of another
+    place."""
+    light, offset = f.lights[link] - 1, f.core.first_offset + seen.site_of[link]
+    if light >= 0 and f.vts.slots[light, SURVEYED] == 1:
+        return
+    variance, far, nearer = 0.0, math.inf, -1
+    if light >= 0:
+        here = Vec3(f.x[0], f.x[1], f.x[2])
+        far = geometry(f, light, offset, here, rotations_of(f), coordinates(f, light), s).distance + f.x[offset]
+        variance = covariance(f, s).xx
+    for k in range(seen.first[link], seen.first[link + 1]):
+        j = slot_of[k]
+        if j < 0 or j == light or f.vts.slots[j, LIGHT] > 0 or f.vts.anchor[j, SCORE] <= 0.0:
+            continue
+        if f.vts.anchor[j, SHARE] == 1.0 and seen.z[k, 0] < far - NEARER * math.sqrt(
+            variance + seen.noise.single[k, 0]
+        ):
+            far, nearer, variance = seen.z[k, 0], j, 0.0
+    if nearer < 0:
+        return
+    f.lights[link] = nearer + 1
+    for j in range(f.count[0]):
+        if light >= 0 and f.vts.slots[j, LIGHT] == light + 1:
+            f.vts.anchor[j, SHARE] = 0.0
+        elif light >= 0 and (j == light or f.vts.slots[j, LIGHT] == -1 - light) and f.vts.anchor[j, SHARE] > 0.0:
+            f.vts.anchor[j, SHARE], f.vts.slots[j, LIGHT] = 1.0, 0
+            scatterer_of(f, b, j)
 
 
 @lean
@@ -468,21 +473,12 @@ def begin(
         elif not whole:
             guess[1] = TURN * n / AROUND
             wide[1] = (WIDTH * TURN / AROUND) ** 2
-        if add(f, a, b, seen, link, ident, k, guess, wide, ranged, False, s, w):
+        if add(f, a, b, seen, link, ident, k, guess, wide, ranged, s, w):
             f.vts.anchor[f.count[0] - 1, SHARE] = 1.0 / guesses
-    if (
-        whole
-        and seen.rules.scatterers
-        and light_for(f, link, f.core.first_offset + seen.site_of[link], z) >= 0
-        and add(f, a, b, seen, link, ident, k, guess, wide, True, True, s, w)
-    ):
-        for j in range(f.count[0]):
-            if is_guess(f, j, link, ident):
-                f.vts.anchor[j, SHARE] = 0.5
-                if f.vts.slots[j, LIGHT] == 0:
-                    f.vts.slots[j, LIGHT] = -f.lights[link]
-    elif whole and seen.rules.scatterers and f.lights[link] == 0:
-        f.lights[link] = f.count[0]
+    if whole and seen.rules.scatterers and f.count[0] > 0 and is_guess(f, f.count[0] - 1, link, ident):
+        if f.lights[link] == 0:
+            f.lights[link] = f.count[0]
+        scatterer_of(f, b, f.count[0] - 1)
 
 
 @lean

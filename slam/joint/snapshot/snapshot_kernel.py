@@ -197,7 +197,10 @@ def give_births(
     for link in range(len(seen.first) - 1):
         offset, start, stop = f.core.first_offset + seen.site_of[link], seen.first[link], seen.first[link + 1]
         # Where paths may be scattered the shortest one begins first: what lights the others.
-        first = shortest(seen.births.z, w.slot_of, start, stop) if rules.scatterers else start
+        first = start
+        if rules.scatterers:
+            relight(f, b, seen, link, w.slot_of, s)
+            first = shortest(seen.births.z, w.slot_of, start, stop)
         for turn in range(stop - start):
             k = first if turn == 0 else start + turn - (1 if start + turn <= first else 0)
             if w.slot_of[k] != FRESH or not possible(seen.births.z[k], f.x[offset]):
@@ -300,8 +303,6 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sigh
         evidence = rules.evidence * (sums.odds[j] - sums.detections[j] * known)
         if anchor[j, SHARE] < 1.0 or rules.scatterers:
             fit = try_out(f, a, j, offset, measurement, known + evidence, rules, s, p)
-            if rules.scatterers:
-                relight(f, j, offset, measurement, s)
         else:
             fit = correct(f, a, j, offset, measurement, 1.0, rules, s, p)
         anchor[j, WORTH] += max(fit + known, UNLIKELY) + evidence
