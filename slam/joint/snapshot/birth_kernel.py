@@ -258,8 +258,7 @@ def scatterer_of(f: Filter, b: Block, j: int) -> None:
 @lean
 def relight(f: Filter, b: Block, seen: Measured, link: int, slot_of: Ints, s: Sight) -> None:
     """Take a mirror image for the transmitter of a link if it has a say and is measured, as VT slot_of (m,), surely
-    nearer than what was taken for it. That one was an image, then, and what it has lit are scatterers of another
-    place."""
+    nearer than what was taken for it. That one was an image, then, and what it has lit is elsewhere, if it scatters."""
     light, offset = f.lights[link] - 1, f.core.first_offset + seen.site_of[link]
     if light >= 0 and f.vts.slots[light, SURVEYED] == 1:
         return
@@ -280,9 +279,12 @@ def relight(f: Filter, b: Block, seen: Measured, link: int, slot_of: Ints, s: Si
         return
     f.lights[link] = nearer + 1
     for j in range(f.count[0]):
-        if light >= 0 and f.vts.slots[j, LIGHT] == light + 1:
+        lit_by = f.vts.slots[j, LIGHT]
+        if f.vts.slots[j, LINK] != link or j == nearer or abs(lit_by) == nearer + 1:
+            continue
+        if lit_by > 0:
             f.vts.anchor[j, SHARE] = 0.0
-        elif light >= 0 and (j == light or f.vts.slots[j, LIGHT] == -1 - light) and f.vts.anchor[j, SHARE] > 0.0:
+        elif f.vts.anchor[j, SHARE] > 0.0:
             f.vts.anchor[j, SHARE], f.vts.slots[j, LIGHT] = 1.0, 0
             scatterer_of(f, b, j)
 

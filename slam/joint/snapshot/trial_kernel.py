@@ -65,7 +65,7 @@ LEAST = 1e-5  # share below which a guess is given up
 LEAST_KIND = 1e-3  # the same, where each guess is of a kind: a wrong choice shows, and is dropped
 AGREE = 0.5  # guesses this close, in their deviations, are one
 UNTRIED = -4.5  # log-odds that a measurement which nothing explains is of a VT that will fit
-LOST = -7.5  # of one on trial: it is given up
+LOST = -9.0  # of one on trial: it is given up
 WORSE = 3.0  # times as large as they should be
 MOST_LOSS = 1.5  # by one measurement: the vehicle may have slipped, not the VT
 
