@@ -86,14 +86,14 @@ Step = tuple[float, Floats, Snapshot]  # the arguments of `Estimator.step`
 class VtEstimate(Described):
     """Estimated VTs: `id` (V,), `link` (V,), `position_m` (V, 3), `covariance` (V, 3, 3), in the world frame.
 
-    `scatterer` (V,): which of them are scatterers, points where paths bend; the others are mirror images. None: none.
+    `scatterer` (V,): 1 for scatterers, points where paths bend, 0 for mirror images. None: there are no scatterers.
     """
 
     id: Ints
     link: Ints
     position_m: Floats
     covariance: Floats
-    scatterer: NDArray[np.bool_] | None = None
+    scatterer: Ints | None = None
 
 
 @dataclass(frozen=True, repr=False)

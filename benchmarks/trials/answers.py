@@ -23,14 +23,17 @@ ROUNDING = 1e-6  # of a covariance's largest entry: what it may be asymmetric, o
 _NUMBERS = ("pose", "covariance", "clock_offset_m", "clock_offset_variance_m2")
 # Maps: of what they are, and the shape of each column for one of it.
 _MAPS: dict[str, tuple[type[VtEstimate] | type[WallEstimate], str, dict[str, tuple[int, ...]]]] = {
-    "vts": (VtEstimate, "VT", {"id": (), "link": (), "position_m": (3,), "covariance": (3, 3)}),
+    "vts": (VtEstimate, "VT", {"id": (), "link": (), "position_m": (3,), "covariance": (3, 3), "scatterer": ()}),
     "walls": (
         WallEstimate, "wall",
         {"id": (), "azimuth_rad": (), "distance_m": (), "covariance": (2, 2), "extent_m": (2,)},
     ),
 }  # fmt: skip
 _CALIBRATION = ("size", "component", "cell", "mean", "covariance")
-_WHOLE = frozenset(("association", "vts.id", "vts.link", "walls.id", "calibration.component", "calibration.cell"))
+_WHOLE = frozenset(
+    ("association", "vts.id", "vts.link", "vts.scatterer", "walls.id", "calibration.component", "calibration.cell")
+)
+_OPTIONAL = frozenset(("vts.scatterer",))
 _SQUARES = frozenset(("covariance", "clock_offset_variance_m2", "vts.covariance", "walls.covariance"))
 
 
@@ -49,7 +52,8 @@ def plain(answer: Any) -> Columns:
     kept = {name: value for name, value in given.items() if value is not None or name in _NUMBERS[:2]}
     for key, (_, _, shapes) in _MAPS.items():
         if (known := getattr(answer, key)) is not None:
-            kept |= {f"{key}.{name}": getattr(known, name) for name in shapes}
+            columns = {f"{key}.{name}": getattr(known, name) for name in shapes}
+            kept |= {name: column for name, column in columns.items() if name not in _OPTIONAL or column is not None}
     return {name: numbers(name, value) for name, value in kept.items()}
 
 
@@ -175,7 +179,8 @@ class Log:
         count = answer[f"{key}.id"].size
         if count > MOST_RECORDS:
             raise BadAnswerError(f"{key} has {count} {of}s, the most are {MOST_RECORDS}")
-        columns = {n: checked(f"{key}.{n}", answer[f"{key}.{n}"], (count, *shape)) for n, shape in shapes.items()}
+        given = {n: f"{key}.{n}" for n in shapes if f"{key}.{n}" not in _OPTIONAL or f"{key}.{n}" in answer}
+        columns = {n: checked(name, answer[name], (count, *shapes[n])) for n, name in given.items()}
         if key == "vts" and ((columns["link"] < 0) | (columns["link"] >= self.links)).any():
             raise BadAnswerError(f"vts.link has a link that is not one of the {self.links} links")
         if key == "walls" and (columns["extent_m"][:, 0] > columns["extent_m"][:, 1]).any():

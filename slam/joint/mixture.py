@@ -372,4 +372,5 @@ def vt_estimate(rows: Floats) -> VtEstimate:
     """Return rows (v, 15) of identity, link, position (m), covariance (m^2) and kind as VTs."""
     ids, link = rows[:, :POSITION].T.astype(np.int64)
     position, covariance = rows[:, POSITION:SPREAD], rows[:, SPREAD:KIND].reshape(-1, 3, 3)
-    return VtEstimate(ids, link, position, covariance, rows[:, KIND] == 1.0)
+    scatterer = rows[:, KIND].astype(np.int64)
+    return VtEstimate(ids, link, position, covariance, scatterer if scatterer.any() else None)

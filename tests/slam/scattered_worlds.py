@@ -76,9 +76,10 @@ def world(
     recording = Recording(
         times, _odometry(poses, rng), OdometryModel(ODOMETRY, *np.zeros((3, 6))), Links(none, none, none),
         Sites(("A",), np.zeros(1), np.zeros(1), **survey),
-        Measurements(np.concatenate(rows), np.zeros(len(z), np.int64), z[:, 0], wrap_angle(z[:, 1]), np.clip(z[:, 2], -1.5, 1.5),
-                     np.full(len(z), np.nan)),
-        poses[0], np.zeros(6), reference=Reference(times, poses[:, :3], poses[:, 3], np.full(steps, 0.01)), scatterers=True,
+        Measurements(np.concatenate(rows), np.zeros(len(z), np.int64), z[:, 0], wrap_angle(z[:, 1]),
+                     np.clip(z[:, 2], -1.5, 1.5), np.full(len(z), np.nan)),
+        poses[0], np.zeros(6), scatterers=True,
+        reference=Reference(times, poses[:, :3], poses[:, 3], np.full(steps, 0.01)),
     )  # fmt: skip
     return World(recording, poses, places, scatters, np.concatenate(of))
 

@@ -61,7 +61,7 @@ def geojson(data: Shown, place: Place, path: Path) -> None:
     for i in range(len(vts.id)):
         covariance = vts.covariance[i]
         about = {
-            "kind": "vt",
+            "kind": "vt" if vts.scatterer is None or vts.scatterer[i] == 0 else "scatterer",
             "id": int(vts.id[i]),
             "link": int(vts.link[i]),
             "position_m": vts.position_m[i].tolist(),

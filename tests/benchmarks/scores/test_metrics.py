@@ -139,7 +139,9 @@ def test_links_of_a_site_may_share_a_map(make_recording):
     assert list(site) == [0, 0, 1, 1]
 
     def of(kept):
-        vts = VtEstimate(*(a[np.isin(whole.vts.link, kept)] for a in whole.vts.__dict__.values()))
+        vts = VtEstimate(
+            *(getattr(whole.vts, n)[np.isin(whole.vts.link, kept)] for n in ("id", "link", "position_m", "covariance"))
+        )
         return score(recording, dataclasses.replace(whole, vts=vts), None)["map_gospa_m"]
 
     missed = [np.sqrt(200.0 * (whole.vts.link == link).sum()) for link in range(4)]

@@ -1,0 +1,163 @@
+"""Scatterers beside mirror images: what is expected of them, how they begin, which kind a VT turns out to be, and that
+what is neither has no say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellslam.recordings import Campaign
+from cellslam.recordings.importing.campaign import build
+from cellslam.sim.recording import Floats, Recording
+from cellslam.slam.fastslam.fastslam import FastSlam
+from cellslam.slam.joint.ekf_slam import EkfSlam
+from cellslam.slam.joint.snapshot.birth_kernel import remove, scatterer_of
+from cellslam.slam.joint.snapshot.trial_kernel import UNTRIED, try_out
+from cellslam.slam.joint.state.layout import IDENT, LIGHT, MOST_SCORE, SCORE, SHARE
+from tests.slam.conftest import OneFilter
+from tests.slam.driving import driven
+from tests.slam.scattered_worlds import WHITE, World, world
+
+TRANSMITTER, SCATTERER = (12.0, 0.4, 0.1), (7.0, -0.9, 0.05)  # range, azimuth, elevation about the anchor
+Q = np.array([0.1, 0.01, 0.01]) ** 2
+
+
+def lit_filter(one_filter: type[OneFilter], scale: float | None = None) -> OneFilter:
+    """A filter with a transmitter, VT 0, which lights VT 1."""
+    one = one_filter(scale=scale)
+    one.put([1.0, 0.5, 0.2, 0.3, 0.02, 0.01], 4.0, TRANSMITTER, SCATTERER)
+    one.f.vts.slots[:2, IDENT], one.f.vts.slots[1, LIGHT], one.f.lights[0] = [5, 6], 1, 1
+    return one
+
+
+def test_the_path_over_a_scatterer_is_as_long_as_both_ways(one_filter: type[OneFilter]) -> None:
+    one = lit_filter(one_filter, scale=0.05)
+    here, point, light = one.f.x[:3], one.place(1), one.place(0)
+    z, h = one.model(1)
+    assert z[0] == pytest.approx(1.05 * (np.linalg.norm(point - here) + np.linalg.norm(point - light)) + 4.0)
+    for i in range(one.n):
+        before, step = one.f.x[i], 1e-6
+        one.f.x[i] = before + step
+        after = one.model(1)[0]
+        one.f.x[i] = before
+        np.testing.assert_allclose((after - z) / step, h[:, i], atol=2e-5)
+
+
+def test_a_scatterer_begins_where_the_ray_meets_the_ellipsoid(one_filter: type[OneFilter]) -> None:
+    one = one_filter()
+    one.put(np.zeros(6), 0.0, TRANSMITTER, (20.0, -0.9, 0.05), anchor=(1.0, 2.0, 0.0))
+    one.f.vts.slots[:2, IDENT], one.f.lights[0] = [5, 6], 1
+    p = one.spread(0.1 * np.random.default_rng(1).standard_normal((one.n, one.n)))
+    n = one.n
+
+    def length(x: Floats) -> Floats:
+        """Return the scatterer's coordinates for a state x, by bisection."""
+        kept, one.f.x[:n] = one.f.x[:n].copy(), x
+        light, anchor = one.place(0), one.f.vts.anchor[1, :3]
+        total, az, el = x[one.f.vts.state[1, :3]]
+        u = np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
+        low, high = 0.0, total
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            too_long = middle + np.linalg.norm(anchor + middle * u - light) > total
+            low, high = (low, middle) if too_long else (middle, high)
+        one.f.x[:n] = kept
+        return np.array([low, az, el])
+
+    x = one.f.x[:n].copy()
+    by = np.stack([(length(x + 1e-5 * e) - length(x - 1e-5 * e)) / 2e-5 for e in np.eye(n)], axis=1)
+    scatterer_of(one.f, one.block, 1)
+    at = one.f.vts.state[2, :3]
+    np.testing.assert_allclose(one.f.x[at], length(x), atol=1e-9)
+    np.testing.assert_allclose(one.f.p[np.ix_(at, np.arange(n))], by @ p, atol=1e-6)
+    np.testing.assert_allclose(one.f.p[np.ix_(at, at)], by @ p @ by.T, atol=1e-6)
+    assert one.f.vts.slots[:3, LIGHT].tolist() == [0, -1, 1]
+    assert one.f.vts.anchor[1:3, SHARE].tolist() == [0.5, 0.5]
+
+
+def test_what_a_lost_light_has_lit_is_lost_and_others_keep_theirs(one_filter: type[OneFilter]) -> None:
+    one = one_filter()
+    one.put(np.zeros(6), 0.0, TRANSMITTER, SCATTERER, SCATTERER, TRANSMITTER, SCATTERER)
+    one.f.vts.slots[:5, LIGHT], one.f.lights[0] = [0, 1, -1, 0, 4], 4
+    remove(one.f, one.block, 1)  # VT 4 takes its number
+    assert one.f.vts.slots[:4, LIGHT].tolist() == [0, 4, -1, 0]
+    remove(one.f, one.block, 0)  # VT 3, the light of VT 1, takes its number
+    assert one.f.lights[0] == 1 and one.f.vts.slots[:3, LIGHT].tolist() == [0, 1, 0]
+    remove(one.f, one.block, 0)
+    assert one.f.lights[0] == 0 and (one.f.vts.slots[:2, LIGHT] == 0).all()
+    assert sorted(one.f.vts.anchor[:2, SHARE].tolist()) == [0.0, 1.0]  # a mirror image needs no light
+
+
+@pytest.mark.parametrize("off", [0.5, 8.0])
+def test_a_vt_has_its_say_when_measurements_fit_and_loses_it_when_they_no_longer_do(
+    one_filter: type[OneFilter], off: float
+) -> None:
+    one = one_filter(scatterers=True)
+    one.put(np.zeros(6), 0.0, TRANSMITTER)
+    one.spread(0.001 * np.eye(one.n))
+    one.f.vts.anchor[0, SCORE] = UNTRIED
+    for n in range(12):
+        deviation = 0.5 if n < 4 else off
+        z = one.model(0)[0] + deviation * np.sqrt(Q)
+        try_out(one.f, one.errors, 0, one.offset, one.measurement(z, Q), 9.0, one.rules, one.w.sight, one.w.pending)
+        if n < 2:
+            assert one.f.vts.anchor[0, SCORE] < 0.0 and not one.w.pending.added.any()  # nothing taught yet
+        if n == 3:
+            assert one.f.vts.anchor[0, SCORE] == MOST_SCORE and one.w.pending.added.any()
+    assert (one.f.vts.anchor[0, SHARE] == 1.0) == (off < 1.0)
+
+
+def of(w: World, rows: Any) -> Recording:
+    """The recording of a world with some of its measurements."""
+    m = w.recording.measurements
+    some = {name: getattr(m, name)[rows] for name in ("snapshot", "link", "distance_m", "azimuth_rad", "elevation_rad")}
+    return replace(w.recording, measurements=replace(m, snr_db=m.snr_db[rows], **some))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("estimator", [EkfSlam, FastSlam])
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("share", [0.2, 0.8])
+def test_mirrors_and_scatterers_are_told_apart(estimator: Any, known: bool, share: float) -> None:
+    w = world(3, share, features=20, steps=200, known=known)
+    answers = driven(estimator(estimator.Options(**WHITE)), w.recording)
+    alone = w.rmse_m(driven(EkfSlam(EkfSlam.Options(**WHITE)), of(w, w.of == 0)))
+    assert w.rmse_m(answers) < 0.6 * alone
+    vts = answers[-1].vts
+    apart = np.linalg.norm(w.features - vts.position_m[:, None], axis=2)
+    assert (apart.min(axis=1) < 1.5).mean() > 0.9 and len(vts.id) > 15
+    assert (vts.scatterer == w.scatters[apart.argmin(axis=1)]).all()
+
+
+@pytest.mark.parametrize("estimator", [EkfSlam, FastSlam])
+def test_random_paths_do_not_spoil_the_line_of_sight(estimator: Any) -> None:
+    w = world(4, 0.5, features=0, steps=120, random=8)
+    answers = driven(estimator(estimator.Options(**WHITE)), w.recording)
+    alone = driven(estimator(estimator.Options(**WHITE)), of(w, w.of == 0))
+    assert w.rmse_m(answers) < 1.2 * w.rmse_m(alone)
+    assert len(answers[-1].vts.id) <= 2  # nothing that has no say is in the map
+
+
+def test_a_transmitter_seen_late_lights_what_was_there_before() -> None:
+    w = world(5, 0.6, features=20, steps=160)
+    late = of(w, (w.of != 0) | (w.recording.measurements.snapshot > 25))
+    answers = driven(EkfSlam(EkfSlam.Options(**WHITE)), late)
+    vts = answers[-1].vts
+    apart = np.linalg.norm(w.features - vts.position_m[:, None], axis=2)
+    assert (apart.min(axis=1) < 1.5).mean() > 0.8
+    assert vts.scatterer.sum() > 5
+
+
+def test_a_campaign_may_have_scatterers_unless_it_is_of_landmarks(tmp_path: Path) -> None:
+    given = {"odometry": None, "start_pose": (0.0,) * 6, "plane": True}
+    columns = {"distance_m": [5.0, 6.0], "azimuth_rad": [0.0, 0.1]}
+    paths = build(Campaign([0.0, 1.0], columns, **given))
+    assert paths.scatterers
+    assert not build(Campaign([0.0, 1.0], columns, scatterers=False, **given)).scatterers
+    assert not build(Campaign([0.0, 1.0], {"distance_m": [5.0, 6.0]}, **given)).scatterers
+    paths.save(tmp_path / "paths.h5")
+    assert Recording.load(tmp_path / "paths.h5").scatterers
