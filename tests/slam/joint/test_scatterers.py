@@ -101,7 +101,7 @@ def test_a_vt_has_its_say_when_measurements_fit_and_loses_it_when_they_no_longer
     one.spread(0.001 * np.eye(one.n))
     one.f.vts.anchor[0, SCORE] = UNTRIED
     for n in range(12):
-        deviation = 0.5 if n < 4 else off
+        deviation = 0.5 if n < 4 else off * (-1.0) ** n
         z = one.model(0)[0] + deviation * np.sqrt(Q)
         try_out(one.f, one.errors, 0, one.offset, one.measurement(z, Q), 9.0, one.rules, one.w.sight, one.w.pending)
         if n == 0:
