@@ -9,16 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.described import Described
+from cellslam.sim.described import POSE_COLUMNS, Described, dataframe
 from cellslam.sim.errors import InputError
 from cellslam.sim.plausible import RANGES, Range
-from cellslam.sim.recording.columns import COLUMNS, Column, check_shapes
+from cellslam.sim.recording.columns import COLUMNS, COMPONENTS, Column, check_shapes
 from cellslam.sim.recording.tables import Floats, Ints, Links, Measurements, OdometryModel, Reference, Sites, Truth
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # What each value of a column must fulfil, and what is wrong with one that does not.
 RULES: dict[str, tuple[Callable[[Any], Any], str]] = {
@@ -98,6 +101,14 @@ class Recording(Described):
     def rows(self) -> Ints:
         """First measurement row of each snapshot, (T + 1,): snapshot t has rows[t]:rows[t + 1]."""
         return np.searchsorted(self.measurements.snapshot, np.arange(len(self.time_s) + 1)).astype(np.int64)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return a pandas table, a row a snapshot: time_s, of a simulated drive the true pose (x_m, y_m, z_m,
+        yaw_rad, pitch_rad, roll_rad), and the odometry (u_x and so on, in m/s and rad/s).
+        """
+        odometry = dict(zip(COMPONENTS, self.odometry.T, strict=True))
+        pose = {} if self.truth is None else dict(zip(POSE_COLUMNS, self.truth.poses.T, strict=True))
+        return dataframe({"time_s": self.time_s, **pose, **odometry})
 
     def save(self, path: str | Path) -> None:
         """Write the recording to one HDF5 file, atomically. Raises InputError when that is impossible."""
