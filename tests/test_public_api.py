@@ -29,7 +29,7 @@ def test_run_takes_a_class_of_ones_own_and_a_lone_name(tmp_path: Path, monkeypat
     monkeypatch.syspath_prepend(tmp_path)
     own: Any = import_module("own_estimators").Mine
     rows = cellslam.run("tiny", [own, "dead-reckoning"], trials=2, seed=3)
-    assert list(rows["status"]) == ["ok"] * 4
+    assert list(rows["status"]) == ["ok"] * 4 and rows["estimator"].tolist()[:2] == ["mine", "dead-reckoning"]
     lone = cellslam.run("tiny", "dead-reckoning", trials=2, seed=3)
     assert lone["position_rmse_m"].tolist() == rows["position_rmse_m"].tolist()[1::2]
 

@@ -49,7 +49,7 @@ def test_what_failed_is_done_again_when_that_is_asked_for(place: Path) -> None:
     assert found["Hangs"]["error"] == "no answer within the time limit of 2 s; alone it was lost again"
     assert found["Exits"]["error"] == "its process ended with exit status 7; alone it was lost again"
     (place / "misfits.py").write_text(MISFITS.replace("NOW = 5", "NOW = -1"))
-    tasks.request_of.cache_clear()
+    tasks._request_of.cache_clear()
     assert main(words(*names, trials=1, more=("--executor", "serial"))) == 1
     assert {row["estimator"].removeprefix("misfits:"): row for row in rows("out")} == found
     assert main(words(*names, trials=1, more=("--executor", "serial", "--retry-failed"))) == 0
