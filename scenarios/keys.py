@@ -84,6 +84,11 @@ def label(item: Any, index: int) -> str:
     return name if isinstance(name, str) else str(index)
 
 
+def names_file(key: str) -> bool:
+    """Return whether the value of a key, by its last part, is the name of a file."""
+    return key in ("file", "path") or key.endswith("_file")
+
+
 def unit_of(name: str) -> str:
     """Return the unit that the ending of a key states, or an empty string."""
     return next((unit for ending, unit in UNITS.items() if name.endswith(ending)), "")

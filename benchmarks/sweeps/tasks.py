@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellslam.scenarios.estimator_options import Request, broken, external_request, loaded
+from cellslam.scenarios.keys import names_file
 from cellslam.scenarios.scenario import MapConfig
 from cellslam.scenarios.sweep_points import Point
 from cellslam.sim.errors import InputError
@@ -241,7 +242,7 @@ def with_contents(text: str) -> str:
 
 def _named_files(value: Any) -> Iterator[str]:
     for key, inner in value.items() if isinstance(value, dict) else ():
-        if isinstance(inner, str) and (key in ("file", "path") or key.endswith("_file")):
+        if isinstance(inner, str) and names_file(key):
             yield inner
         yield from _named_files(inner)
 
