@@ -34,6 +34,7 @@ RULES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "size": (lambda x: x > 0, "is not a size (must be > 0)"),
 }
 _COUNTED = {"S": "sites", "T": "snapshots", "L": "links", "V": "VTs", "N": "vehicles"}
+PLACEHOLDERS = (-9999.0, -99999.0)  # what other programs write for a value that is missing
 TIMES = ("time_s", "truth/vehicles/time_s", "reference/time_s")  # of rows that are in order
 _COMPARED = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db")
 
@@ -152,6 +153,9 @@ def _check_values(column: Column, values: NDArray[Any], sizes: Mapping[str, int]
     if column.rule:
         fulfilled, problem = RULES[column.rule]
         _require(fulfilled(values), column.name, problem)
+    if column.rule == "measured":
+        for text in PLACEHOLDERS:
+            _require(values != text, column.name, f"is {text:g}, which stands for a missing value: write NaN")
     for span, part in column.parts(values):
         _check_range(span, part, f"{column.name}, row")
     if column.index:
