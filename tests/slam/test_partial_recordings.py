@@ -15,7 +15,8 @@ from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
 from cellslam.slam.joint.new_filters import NO_ERRORS
-from cellslam.slam.joint.snapshot.birth_kernel import LEAST, _unite, begin, consider, correct_guesses, tidy
+from cellslam.slam.joint.snapshot.birth_kernel import begin, tidy
+from cellslam.slam.joint.snapshot.trial_kernel import LEAST, _unite, consider, try_out
 from cellslam.slam.joint.snapshot.update_kernel import add_up, compare, correct, innovate
 from cellslam.slam.joint.state.layout import SHARE, Births
 from cellslam.slam.model.measurement_model import predict
@@ -36,8 +37,8 @@ def see(one: Any, now: int, pose: Any, z: Any) -> None:
         begin(f, NO_ERRORS, one.block, seen, 0, 1, 0, w.sight, w.pending)
         return
     j = int(np.argmax(f.vts.anchor[: f.count[0], SHARE]))
-    use = correct_guesses if f.vts.anchor[j, SHARE] < 1.0 else correct
-    use(f, NO_ERRORS, j, 6, one.measurement(z, Q), one.rules, w.sight, w.pending)
+    use = try_out if f.vts.anchor[j, SHARE] < 1.0 else correct
+    use(f, NO_ERRORS, j, 6, one.measurement(z, Q), 1.0, one.rules, w.sight, w.pending)
     add_up(f, w.pending)
     tidy(f, NO_ERRORS, one.block, now, one.rules)
 
@@ -102,7 +103,7 @@ def test_guesses_that_agree_are_one_also_behind_the_array(one_filter: Any) -> No
     one.spread(np.sqrt(0.1) * np.eye(19))
     share = one.f.vts.anchor[:4, SHARE]
     share[:] = [0.6, 0.4, 1.0, 0.1 * LEAST]
-    assert _unite(one.f, 0, 0, share.sum()) == (2, 2)
+    assert _unite(one.f, 0, 0, share.sum(), LEAST) == (2, 2)
     np.testing.assert_allclose(share, [0.5, 0.0, 0.5, 0.0], rtol=1e-3)
 
 

@@ -122,7 +122,7 @@ def test_updates_are_textbook_kalman_updates_also_while_they_wait(one_filter: An
         n = len(mean)
         mean, cov, value = kalman(mean, cov, by[:, :n], np.array(e) - by @ (mean - begin), q)
         got = correct(
-            one.f, NO_ERRORS, j, OFFSET, one.measurement(h + e + turn, q), one.rules, one.w.sight, one.w.pending
+            one.f, NO_ERRORS, j, OFFSET, one.measurement(h + e + turn, q), 1.0, one.rules, one.w.sight, one.w.pending
         )
         np.testing.assert_allclose(got, value, rtol=1e-8)
         np.testing.assert_array_equal(one.f.x[:n], begin)  # about which all measurements are linearised

@@ -19,7 +19,7 @@ from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.map_states import WIDENED, Observed, Remembered, map_after, standing
 from cellslam.slam.joint.map_trial import MapTrial
 from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
-from cellslam.slam.joint.state.layout import UNSEEN, VT, block_of, one_of
+from cellslam.slam.joint.state.layout import ENTRY, UNSEEN, VT, block_of, one_of
 from cellslam.slam.model.measurement_model import jacobians
 from cellslam.slam.model.vt_map import VtMap, factored, joined
 from tests.sealing import resealed
@@ -27,7 +27,7 @@ from tests.slam.driving import driven
 
 RNG = np.random.default_rng(5)
 ONE_LINK, SITES = Links(*(np.zeros(1, np.int64) for _ in range(3))), ("A",)
-NOWHERE = np.zeros((0, 14))
+NOWHERE = np.zeros((0, ENTRY))
 
 
 def some_map(count: int, rng: np.random.Generator) -> tuple[VtMap, Floats]:

@@ -37,7 +37,7 @@ def block(f, errors, offset, z, q, rules, sight, pending):
         measurement = BlockMeasurement(
             z[j], q, q, f.x[:6], Vec3(f.x[0], f.x[1], f.x[2]), rotations_of(f), 1.0, 1.0, NOW, f.particles.deviation[:6]
         )
-        total += correct(f, errors, j, offset, measurement, rules, sight, pending)
+        total += correct(f, errors, j, offset, measurement, 1.0, rules, sight, pending)
     add_up(f, pending)
     return total, take_steps(f, rules, pending.steps)
 
