@@ -13,6 +13,7 @@ import pytest
 from cellslam.recordings import Campaign
 from cellslam.recordings.importing.campaign import build
 from cellslam.sim.recording import Floats, Recording
+from cellslam.slam.api import VtEstimate
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.snapshot.birth_kernel import remove, scatterer_of
@@ -120,6 +121,14 @@ def of(w: World, rows: Any) -> Recording:
     return replace(w.recording, measurements=replace(m, snr_db=m.snr_db[rows], **some))
 
 
+def check_map(vts: VtEstimate, w: World) -> None:
+    """Check that nearly all VTs are features of a world, and of their kinds."""
+    apart = np.linalg.norm(w.features - vts.position_m[:, None], axis=2)
+    near = apart.min(axis=1) < 3.0
+    assert near.mean() > 0.9 and len(vts.id) > 15
+    assert (vts.scatterer == w.scatters[apart.argmin(axis=1)])[near].all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("estimator", [EkfSlam, FastSlam])
 @pytest.mark.parametrize("known", [True, False])
@@ -129,10 +138,7 @@ def test_mirrors_and_scatterers_are_told_apart(estimator: Any, known: bool, shar
     answers = driven(estimator(estimator.Options(**WHITE)), w.recording)
     alone = w.rmse_m(driven(EkfSlam(EkfSlam.Options(**WHITE)), of(w, w.of == 0)))
     assert w.rmse_m(answers) < 0.6 * alone
-    vts = answers[-1].vts
-    apart = np.linalg.norm(w.features - vts.position_m[:, None], axis=2)
-    assert (apart.min(axis=1) < 1.5).mean() > 0.9 and len(vts.id) > 15
-    assert (vts.scatterer == w.scatters[apart.argmin(axis=1)]).all()
+    check_map(answers[-1].vts, w)
 
 
 @pytest.mark.parametrize("estimator", [EkfSlam, FastSlam])
@@ -147,11 +153,7 @@ def test_random_paths_do_not_spoil_the_line_of_sight(estimator: Any) -> None:
 def test_a_transmitter_seen_late_lights_what_was_there_before() -> None:
     w = world(6, 0.6, features=20, steps=160)
     late = of(w, (w.of != 0) | (w.recording.measurements.snapshot > 25))
-    vts = driven(EkfSlam(EkfSlam.Options(**WHITE)), late)[-1].vts
-    apart = np.linalg.norm(w.features - vts.position_m[:, None], axis=2)
-    near = apart.min(axis=1) < 3.0
-    assert near.mean() > 0.9 and len(vts.id) > 15
-    assert (vts.scatterer == w.scatters[apart.argmin(axis=1)])[near].all()
+    check_map(driven(EkfSlam(EkfSlam.Options(**WHITE)), late)[-1].vts, w)
 
 
 def test_a_campaign_may_have_scatterers_unless_it_is_of_landmarks(tmp_path: Path) -> None:
