@@ -129,7 +129,6 @@ def check_map(vts: VtEstimate, w: World) -> None:
     assert (vts.scatterer == w.scatters[apart.argmin(axis=1)])[near].all()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("estimator", [EkfSlam, FastSlam])
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("share", [0.2, 0.8])
