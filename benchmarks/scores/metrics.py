@@ -7,13 +7,22 @@ Position errors are horizontal, absolute and not aligned. Source: paper, section
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.stats import chi2
 
+from cellslam.benchmarks.scores.belief import (
+    AS_CLAIMED,
+    LEVELS,
+    claimed_probability,
+    energy_score,
+    log_score,
+    squared_error,
+)
 from cellslam.benchmarks.scores.map_scores import Tracks, map_gospa, precision_recall, tracks_of, transmitter_errors
 from cellslam.benchmarks.scores.reference_fixes import at_fixes, compared, covariances_at_fixes, unled, usable, within
 from cellslam.benchmarks.scores.trial_result import TrialResult
@@ -24,21 +33,59 @@ from cellslam.sim.recording import Floats, Recording, Reference
 if TYPE_CHECKING:
     from cellslam.benchmarks.bound.cramer_rao import BoundResult
 
-SMALLEST_VARIANCE_M2 = 1e-12
+# Rows have the protection level of one risk, and of one alert limit; `cellslam integrity` has those of any.
+RISK, ALERT_LIMIT_M = 1e-3, 3.0
 SHORTEST_STEP_M = 1.0  # of a reference's path: below it lies the noise of fixes at rest
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of a trial against its truth at every snapshot, or against a reference at its fixes: horizontal `position`
-    (N,) in m, `heading` (N,) in rad, and the NEES `squared` (N,), NaN where there is none."""
+    """Errors of a trial against its truth at every snapshot, or against a reference at its fixes, and what was claimed.
 
-    position: Floats
+    `horizontal` (N, 2): estimate less truth in m, `covariance` (N, 2, 2): the claim, with the reference's variance, NaN
+    where there is none; `yaw` (N,): the estimated one. `heading` (K,) in rad, and its claimed variance (K,).
+    """
+
+    horizontal: Floats
+    covariance: Floats
+    yaw: Floats
     heading: Floats
-    squared: Floats
+    heading_variance: Floats
+
+    @cached_property
+    def position(self) -> Floats:
+        """Sizes (N,) of the horizontal errors in m."""
+        return np.asarray(np.hypot(self.horizontal[:, 0], self.horizontal[:, 1]))
+
+    @cached_property
+    def squared(self) -> Floats:
+        """The NEES (N,), NaN where nothing is claimed, or that there is no error."""
+        return squared_error(self.horizontal, self.covariance)
+
+    @cached_property
+    def claimed(self) -> tuple[Floats, Floats]:
+        """The horizontal errors (n, 2), and covariances (n, 2, 2), where there is a claim."""
+        there = np.isfinite(self.squared)
+        return self.horizontal[there], self.covariance[there]
+
+    @cached_property
+    def protected(self) -> tuple[Floats, Floats]:
+        """Sizes of the horizontal errors (n,) and protection levels (n,) in m, where there is a claim."""
+        error, covariance = self.claimed
+        return np.hypot(error[:, 0], error[:, 1]), AS_CLAIMED.radius(covariance, RISK)
+
+    def on_axis(self, turn: float) -> tuple[Floats, Floats]:
+        """Return sizes of the errors (n,) and protection levels (n,) in m on an axis, turned from the estimated heading
+        by an angle in rad."""
+        error, covariance = self.claimed
+        yaw = self.yaw[np.isfinite(self.squared)] + turn
+        n = np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+        variance = np.einsum("ti,tij,tj->t", n, covariance, n)
+        return np.abs((n * error).sum(axis=1)), AS_CLAIMED.half_width(variance, RISK)
 
 
-NO_ERRORS = Errors(np.zeros(0), np.zeros(0), np.zeros(0))
+ALONG, ACROSS = 0.0, np.pi / 2.0
+NO_ERRORS = Errors(np.zeros((0, 2)), np.zeros((0, 2, 2)), *np.zeros((3, 0)))
 
 
 @dataclass(frozen=True)
@@ -52,13 +99,7 @@ class Scored:
     @cached_property
     def errors(self) -> Errors:
         """Errors of pose, against truth or reference; empty without both."""
-        truth, reference, result = self.recording.truth, self.recording.reference, self.result
-        if truth is None:
-            return NO_ERRORS if reference is None else reference_errors(self.recording, reference, result)
-        # The covariances of a smoother are those of the snapshots, and say nothing of its poses.
-        known = np.zeros(0) if result.smoothed else nees(truth.poses, result.poses, result.covariances)
-        turned = wrap_angle(result.poses[:, 3] - truth.poses[:, 3])
-        return Errors(horizontal_error(truth.poses, result.poses), turned, known)
+        return errors_of(self.recording, self.result)
 
     @cached_property
     def tracks(self) -> Tracks | None:
@@ -81,6 +122,14 @@ class Scored:
         if truth is None or offset is None or not len(self.recording.sites):
             return None
         return np.asarray(offset[-1] - truth.clock_offsets_at(self.recording.elapsed_s)[-1])
+
+    @cached_property
+    def clock_ratios(self) -> Floats:
+        """Errors of the clock offsets at all snapshots over their claimed deviations (n,), NaN of known clocks."""
+        truth, offset, variance = self.recording.truth, self.result.clock_offset_m, self.result.clock_offset_variance_m2
+        if truth is None or offset is None or variance is None:
+            return np.zeros(0)
+        return _ratio((offset - truth.clock_offsets_at(self.recording.elapsed_s)).ravel(), variance.ravel())
 
     @property
     def transmitter_m(self) -> Floats | None:
@@ -132,6 +181,30 @@ class Metric:
         return _with_unit(self.axis, self.unit)
 
 
+def _coverage() -> Iterator[Metric]:
+    """Yield the metrics that say how often errors lie within what is claimed to hold them so often."""
+    of: dict[str, tuple[str, Callable[[Scored], Floats]]] = {
+        "coverage": ("horizontal position", lambda s: claimed_probability(s.errors.squared)),
+        "heading_coverage": ("heading", lambda s: _sides(_ratio(s.errors.heading, s.errors.heading_variance))),
+        "clock_coverage": ("clock offsets", lambda s: _sides(s.clock_ratios)),
+    }
+    for name, (what, probability) in of.items():
+        for level in LEVELS:
+
+            def share(s: Scored, level: float = level, probability: Any = probability) -> float | None:
+                found = probability(s)
+                return _over(np.mean, found[np.isfinite(found)] <= level)
+
+            percent = f"{100 * level:g}"
+            heading = f"{name.removesuffix('coverage').replace('_', ' ')}in {percent} %"
+            shown = "suite report" if (name, level) == ("coverage", 0.95) else ""
+            yield Metric(
+                f"{name}_{percent}", "", heading, 3,
+                f"share of snapshots in which the {what} lies within what is claimed to hold {percent} %", share,
+                f"{percent} % coverage of the {what}" if shown else "", tables="report" if shown else "",
+            )  # fmt: skip
+
+
 METRICS = (
     Metric("position_rmse_m", "m", "RMSE", 2, "root mean square of the horizontal position error, not aligned",
            lambda s: _rms(s.errors.position), "position RMSE", tables="trial trials summary suite report"),
@@ -167,6 +240,30 @@ METRICS = (
            "reference that states no deviation is taken as exact, and the value is then an upper limit",
            lambda s: _over(np.mean, s.errors.squared[np.isfinite(s.errors.squared)]), "mean NEES (2 is right)",
            tables="trials suite report"),
+    Metric("log_score", "nat", "log score", 2,
+           "minus the logarithm of the density that was claimed for the true horizontal position, mean: less is better",
+           lambda s: _over(np.mean, log_score(*s.errors.claimed)), "log score", tables="report"),
+    Metric("energy_score_m", "m", "energy score", 2,
+           "energy score of the claimed horizontal position, mean: in m, and kinder to outliers than the log score",
+           lambda s: _over(np.mean, energy_score(*s.errors.claimed))),
+    *_coverage(),
+    Metric("claimed_95_m", "m", "claimed 95 %", 2, "radius that is claimed to hold 95 % of the position, median",
+           lambda s: _over(np.median, AS_CLAIMED.radius(s.errors.claimed[1], 0.05))),
+    Metric("protection_m", "m", "protection", 2,
+           "horizontal protection level, which the error is claimed to exceed once in a thousand times; median",
+           lambda s: _over(np.median, s.errors.protected[1])),
+    Metric("protection_along_m", "m", "along", 2, "the same, along the track",
+           lambda s: _over(np.median, s.errors.on_axis(ALONG)[1])),
+    Metric("protection_across_m", "m", "across", 2, "the same, across the track",
+           lambda s: _over(np.median, s.errors.on_axis(ACROSS)[1])),
+    Metric("availability", "", "available", 3, "share of snapshots with a horizontal protection level below 3 m",
+           lambda s: _over(np.mean, s.errors.protected[1] < ALERT_LIMIT_M), rising=True),
+    Metric("misleading", "", "misleading", 4, "share of snapshots with an error above the horizontal protection level",
+           lambda s: _exceeding(*s.errors.protected)),
+    Metric("misleading_along", "", "along", 4, "the same, along the track",
+           lambda s: _exceeding(*s.errors.on_axis(ALONG))),
+    Metric("misleading_across", "", "across", 4, "the same, across the track",
+           lambda s: _exceeding(*s.errors.on_axis(ACROSS))),
     Metric("bound_position_rmse_m", "m", "bound", 2,
            "Cramér-Rao bound of the position RMSE: the least error that a filter can have on average on this drive, "
            "errors that persist included", lambda s: None if s.bound is None else s.bound.position_rmse_m,
@@ -215,6 +312,16 @@ def score(recording: Recording, result: TrialResult, bound: BoundResult | None) 
     return {metric.key: metric.of(scored) for metric in METRICS if metric.of is not None}
 
 
+def errors_of(recording: Recording, result: TrialResult) -> Errors:
+    """Return the errors of a result against the truth, or else the reference; none without both."""
+    truth, reference = recording.truth, recording.reference
+    if truth is None:
+        return NO_ERRORS if reference is None else reference_errors(recording, reference, result)
+    # The covariances of a smoother are those of the snapshots, and say nothing of its poses.
+    claimed = np.full_like(result.covariances, np.nan) if result.smoothed else result.covariances
+    return _errors(truth.poses, result.poses, claimed)
+
+
 def reference_errors(recording: Recording, reference: Reference, result: TrialResult) -> Errors:
     """Return the errors against a reference: of the estimate at its times, where they lie within the drive.
 
@@ -229,11 +336,18 @@ def reference_errors(recording: Recording, reference: Reference, result: TrialRe
     there, turned = usable(recording, reference)[rows], np.isfinite(known[:, 3])
     std = np.nan_to_num(reference.position_std_m[rows])
     claimed = covariances_at_fixes(recording, reference, rows, result.poses, result.covariances)
-    claimed = claimed + (std**2)[:, None, None] * np.eye(6)
-    return Errors(
-        horizontal_error(known[there], poses[there]), wrap_angle(poses[turned, 3] - known[turned, 3]),
-        nees(known[there], poses[there], claimed[there]),
-    )  # fmt: skip
+    claimed = claimed + (std**2)[:, None, None] * np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    return _errors(known, poses, claimed, there, turned)
+
+
+def _errors(
+    known: Floats, poses: Floats, claimed: Floats, there: Any = slice(None), turned: Any = slice(None)
+) -> Errors:
+    """Return the errors of poses (N, 6) with their claims (N, 6, 6) against what is known, (N, 4) or more columns: of
+    positions where they are `there`, of headings where `turned`."""
+    horizontal = (poses[:, :2] - known[:, :2])[there]
+    heading = wrap_angle(poses[turned, 3] - known[turned, 3])
+    return Errors(horizontal, claimed[there, :2, :2], poses[there, 3], heading, claimed[turned, 3, 3])
 
 
 def errors_over_time(recording: Recording, poses: Floats) -> tuple[Floats, Floats] | None:
@@ -251,16 +365,9 @@ def nees(truth_poses: Floats, poses: Floats, covariances: Floats) -> Floats:
     """Return the normalised estimation error squared e^T P^-1 e (T,) of the horizontal position, dimensionless.
 
     Its mean is 2 for a consistent estimator. NaN where the claimed covariance (T, 6, 6) has no inverse, as at a start
-    that is known exactly. Source: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and
-    navigation", 2001, section 5.4.2.
+    that is known exactly.
     """
-    e = poses[:, :2] - truth_poses[:, :2]
-    xx, xy, yy = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
-    determinant = xx * yy - xy * xy
-    # The smaller eigenvalue is at least determinant / trace.
-    regular = determinant > SMALLEST_VARIANCE_M2 * np.abs(xx + yy)
-    quadratic = yy * e[:, 0] ** 2 - 2.0 * xy * e[:, 0] * e[:, 1] + xx * e[:, 1] ** 2
-    return np.where(regular, quadratic / np.where(regular, determinant, 1.0), np.nan)
+    return squared_error(poses[:, :2] - truth_poses[:, :2], covariances[:, :2, :2])
 
 
 def duration_s(recording: Recording) -> float:
@@ -290,11 +397,27 @@ def _length(points: Floats) -> float | None:
     return length
 
 
+def _ratio(error: Floats, variance: Floats) -> Floats:
+    """Return sizes of errors (n,) over their claimed deviations; NaN where it is claimed that there is none."""
+    std = np.sqrt(np.maximum(variance, 0.0))
+    return np.asarray(np.divide(np.abs(error), std, out=np.full(len(std), np.nan), where=std > 0.0))
+
+
+def _sides(ratio: Floats) -> Floats:
+    """Return the probability (n,) claimed for the interval up to the truth, of errors over deviations (n,)."""
+    return np.asarray(chi2.cdf(ratio**2, 1))
+
+
+def _exceeding(error: Floats, level: Floats) -> float | None:
+    """Return the share of errors (n,) above their protection levels (n,)."""
+    return _over(np.mean, error > level)
+
+
 def _rms(values: Floats | None) -> float | None:
     return _over(lambda found: np.sqrt(np.mean(np.square(found))), values)
 
 
-def _over(statistic: Callable[[Floats], Any], values: Floats | None) -> float | None:
+def _over(statistic: Callable[[Any], Any], values: Any) -> float | None:
     """Return a statistic of values (N,), None where there are none."""
     return None if values is None or not len(values) else float(statistic(values))
 
