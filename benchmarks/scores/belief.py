@@ -23,9 +23,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import erf, ndtr
 from scipy.stats import t as student
 
 from cellslam.sim.recording import Floats
@@ -95,9 +96,20 @@ def squared_error(error: Floats, covariance: Floats) -> Floats:
     return np.where(regular, quadratic / np.where(regular, determinant, 1.0), np.nan)
 
 
-def claimed_probability(squared: Floats) -> Floats:
+def claimed_probability(squared: Any) -> Floats:
     """Return the probability (n,) that is claimed for the ellipse through the truth, of `squared` (n,)."""
     return np.asarray(-np.expm1(-np.asarray(squared) / 2.0))
+
+
+def ratio(error: Any, variance: Any) -> Floats:
+    """Return sizes of errors (...) over their claimed deviations; NaN where it is claimed that there is none."""
+    std = np.sqrt(np.maximum(variance, 0.0))
+    return np.asarray(np.divide(np.abs(error), std, out=np.full(np.shape(std), np.nan), where=std > 0.0))
+
+
+def two_sided(ratio: Floats) -> Floats:
+    """Return the probability (n,) claimed for the interval up to the truth, of errors over deviations (n,)."""
+    return np.asarray(erf(np.asarray(ratio) / math.sqrt(2.0)))
 
 
 def log_score(error: Floats, covariance: Floats) -> Floats:

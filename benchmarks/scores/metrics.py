@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from cellslam.benchmarks.scores.belief import (
     AS_CLAIMED,
@@ -21,7 +20,9 @@ from cellslam.benchmarks.scores.belief import (
     claimed_probability,
     energy_score,
     log_score,
+    ratio,
     squared_error,
+    two_sided,
 )
 from cellslam.benchmarks.scores.map_scores import Tracks, map_gospa, precision_recall, tracks_of, transmitter_errors
 from cellslam.benchmarks.scores.reference_fixes import at_fixes, compared, covariances_at_fixes, unled, usable, within
@@ -129,7 +130,7 @@ class Scored:
         truth, offset, variance = self.recording.truth, self.result.clock_offset_m, self.result.clock_offset_variance_m2
         if truth is None or offset is None or variance is None:
             return np.zeros(0)
-        return _ratio((offset - truth.clock_offsets_at(self.recording.elapsed_s)).ravel(), variance.ravel())
+        return ratio((offset - truth.clock_offsets_at(self.recording.elapsed_s)).ravel(), variance.ravel())
 
     @property
     def transmitter_m(self) -> Floats | None:
@@ -185,8 +186,8 @@ def _coverage() -> Iterator[Metric]:
     """Yield the metrics that say how often errors lie within what is claimed to hold them so often."""
     of: dict[str, tuple[str, Callable[[Scored], Floats]]] = {
         "coverage": ("horizontal position", lambda s: claimed_probability(s.errors.squared)),
-        "heading_coverage": ("heading", lambda s: _sides(_ratio(s.errors.heading, s.errors.heading_variance))),
-        "clock_coverage": ("clock offsets", lambda s: _sides(s.clock_ratios)),
+        "heading_coverage": ("heading", lambda s: two_sided(ratio(s.errors.heading, s.errors.heading_variance))),
+        "clock_coverage": ("clock offsets", lambda s: two_sided(s.clock_ratios)),
     }
     for name, (what, probability) in of.items():
         for level in LEVELS:
@@ -395,17 +396,6 @@ def _length(points: Floats) -> float | None:
         if step >= SHORTEST_STEP_M:
             length, last = length + step, point
     return length
-
-
-def _ratio(error: Floats, variance: Floats) -> Floats:
-    """Return sizes of errors (n,) over their claimed deviations; NaN where it is claimed that there is none."""
-    std = np.sqrt(np.maximum(variance, 0.0))
-    return np.asarray(np.divide(np.abs(error), std, out=np.full(len(std), np.nan), where=std > 0.0))
-
-
-def _sides(ratio: Floats) -> Floats:
-    """Return the probability (n,) claimed for the interval up to the truth, of errors over deviations (n,)."""
-    return np.asarray(chi2.cdf(ratio**2, 1))
 
 
 def _exceeding(error: Floats, level: Floats) -> float | None:
