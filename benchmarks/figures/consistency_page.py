@@ -21,7 +21,7 @@ import numpy as np
 
 from cellslam.benchmarks.figures.style import BLACK, GREY, WIDTH_IN, estimator_styles
 from cellslam.benchmarks.scores.belief import LEVELS
-from cellslam.benchmarks.scores.statistics import interval, statistic
+from cellslam.benchmarks.scores.statistics import share_interval
 from cellslam.benchmarks.tables.consistency import Claimed, nees_band
 from cellslam.benchmarks.tables.summaries import CONFIDENCE
 from cellslam.sim.recording import Floats
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BINS, GRID = 20, 100
+BINS, GRID, MOST_DENSITY = 20, 100, 5.0
+LEAST_NEES = 0.05
 LEAST_SHARE = 3e-4  # of what is drawn on a logarithmic axis
 Style = Mapping[str, Any]
 
@@ -85,7 +86,12 @@ def draw_nees(axes: Axes, curves: Mapping[str, tuple[Floats, Floats]], styles: M
     low, high = nees_band(max(len(values) for _, values in curves.values()))
     axes.axhspan(low, high, color=GREY, alpha=0.35, linewidth=0)
     axes.axhline(2.0, color=BLACK, linewidth=0.8, linestyle=":")
-    axes.set(yscale="log", xlabel="time (s)", ylabel=f"NEES, with its {100 * CONFIDENCE:g} % band")
+    axes.set(
+        yscale="log",
+        xlabel="time (s)",
+        ylim=(max(axes.get_ylim()[0], LEAST_NEES), None),
+        ylabel=f"NEES, with its {100 * CONFIDENCE:g} % band",
+    )
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
 
@@ -95,10 +101,9 @@ def _reliability(axes: Axes, one: Shown, style: Style) -> None:
     levels = np.linspace(0.0, 1.0, GRID + 1)
     shares = np.stack([_shares(drive.position, levels) for drive in one.drives if len(drive.position)])
     axes.plot(levels, shares.mean(axis=0), **style)
-    ends = np.array([interval(column, statistic("mean"), CONFIDENCE) for column in shares[:, 5:-1:5].T])
+    ends = np.array([share_interval(column, CONFIDENCE) for column in shares[:, 5:-1:5].T])
     if np.isfinite(ends).any():
-        low, high = np.clip(ends, 0.0, 1.0).T
-        axes.fill_between(levels[5:-1:5], low, high, color=style["color"], alpha=0.15, linewidth=0)
+        axes.fill_between(levels[5:-1:5], *ends.T, color=style["color"], alpha=0.15, linewidth=0)
 
 
 def _histogram(axes: Axes, one: Shown, style: Style) -> None:
@@ -134,7 +139,7 @@ def _outside(axes: Axes, shown: Mapping[str, Shown], styles: Mapping[str, Style]
 
 def _dot(axes: Axes, x: float, shares: Floats, colour: str) -> None:
     mean = max(float(shares.mean()), LEAST_SHARE)
-    low, high = interval(shares, statistic("mean"), CONFIDENCE)
+    low, high = share_interval(shares, CONFIDENCE)
     axes.plot(x, mean, "o", color=colour, markersize=3.5)
     if np.isfinite(low):
         axes.plot([x, x], np.maximum([low, high], LEAST_SHARE), color=colour, linewidth=0.9)

@@ -17,6 +17,7 @@ import numpy as np
 from cellslam.benchmarks.scores.belief import (
     AS_CLAIMED,
     LEVELS,
+    Claim,
     claimed_probability,
     energy_score,
     log_score,
@@ -69,23 +70,20 @@ class Errors:
         there = np.isfinite(self.squared)
         return self.horizontal[there], self.covariance[there]
 
-    @cached_property
-    def protected(self) -> tuple[Floats, Floats]:
-        """Sizes of the horizontal errors (n,) and protection levels (n,) in m, where there is a claim."""
+    def protection(
+        self, direction: str = "horizontal", claim: Claim = AS_CLAIMED, risk: float = RISK
+    ) -> tuple[Floats, Floats]:
+        """Return sizes of the errors (n,) and protection levels (n,) in m, where there is a claim, which `claim` reads:
+        horizontal, or along or across the estimated heading."""
         error, covariance = self.claimed
-        return np.hypot(error[:, 0], error[:, 1]), AS_CLAIMED.radius(covariance, RISK)
-
-    def on_axis(self, turn: float) -> tuple[Floats, Floats]:
-        """Return sizes of the errors (n,) and protection levels (n,) in m on an axis, turned from the estimated heading
-        by an angle in rad."""
-        error, covariance = self.claimed
-        yaw = self.yaw[np.isfinite(self.squared)] + turn
+        if direction == "horizontal":
+            return np.hypot(error[:, 0], error[:, 1]), claim.radius(covariance, risk)
+        yaw = self.yaw[np.isfinite(self.squared)] + (np.pi / 2.0 if direction == "across" else 0.0)
         n = np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
         variance = np.einsum("ti,tij,tj->t", n, covariance, n)
-        return np.abs((n * error).sum(axis=1)), AS_CLAIMED.half_width(variance, RISK)
+        return np.abs((n * error).sum(axis=1)), claim.half_width(variance, risk)
 
 
-ALONG, ACROSS = 0.0, np.pi / 2.0
 NO_ERRORS = Errors(np.zeros((0, 2)), np.zeros((0, 2, 2)), *np.zeros((3, 0)))
 
 
@@ -159,7 +157,7 @@ class Metric:
     """A metric: its key in rows, unit, heading of a column, digits in tables, meaning, and how it is computed; None: of
     several rows, or measured while the estimator runs. `axis`: label in figures; those without one have none. `tables`
     show it without being asked: `trial` and `trials` of `run`, `summary` of `table`, `suite`, `report`. `rising`: more
-    is better."""
+    is better. `share`: a value of one drive is 0 to 1."""
 
     key: str
     unit: str
@@ -170,6 +168,7 @@ class Metric:
     axis: str = ""
     tables: str = ""
     rising: bool = False
+    share: bool = False
 
     @property
     def titled(self) -> str:
@@ -198,11 +197,11 @@ def _coverage() -> Iterator[Metric]:
 
             percent = f"{100 * level:g}"
             heading = f"{name.removesuffix('coverage').replace('_', ' ')}in {percent} %"
-            shown = "suite report" if (name, level) == ("coverage", 0.95) else ""
+            shown = "report" if (name, level) == ("coverage", 0.95) else ""
             yield Metric(
                 f"{name}_{percent}", "", heading, 3,
                 f"share of snapshots in which the {what} lies within what is claimed to hold {percent} %", share,
-                f"{percent} % coverage of the {what}" if shown else "", tables="report" if shown else "",
+                f"{percent} % coverage of the {what}" if shown else "", tables=shown, share=True,
             )  # fmt: skip
 
 
@@ -227,15 +226,15 @@ METRICS = (
     Metric("wall_gospa_m", "m", "walls", 2, "walls, of estimators that report walls: GOSPA of their visible parts",
            lambda s: s.walls.get("wall_gospa_m")),
     Metric("wall_share", "", "mapped", 2, "share of the seen facades' length that is mapped",
-           lambda s: s.walls.get("wall_share"), rising=True),
+           lambda s: s.walls.get("wall_share"), rising=True, share=True),
     Metric("wall_normal_rmse_rad", "rad", "wall normals", 4, "error of the walls' directions, root mean square",
            lambda s: s.walls.get("wall_normal_rmse_rad")),
     Metric("wall_offset_rmse_m", "m", "wall offsets", 2, "by how much walls are off across them, root mean square",
            lambda s: s.walls.get("wall_offset_rmse_m")),
     Metric("association_precision", "", "precision", 2, "share of associations that are right",
-           lambda s: s.associated[0], tables="trial trials suite", rising=True),
+           lambda s: s.associated[0], tables="trial trials suite", rising=True, share=True),
     Metric("association_recall", "", "recall", 2, "share of measurements of a VT that were associated rightly",
-           lambda s: s.associated[1], tables="trial trials suite", rising=True),
+           lambda s: s.associated[1], tables="trial trials suite", rising=True, share=True),
     Metric("nees_mean", "", "NEES", 2,
            "mean normalised estimation error squared of the position: 2 where the claimed covariance is right; a "
            "reference that states no deviation is taken as exact, and the value is then an upper limit",
@@ -252,19 +251,19 @@ METRICS = (
            lambda s: _over(np.median, AS_CLAIMED.radius(s.errors.claimed[1], 0.05))),
     Metric("protection_m", "m", "protection", 2,
            "horizontal protection level, which the error is claimed to exceed once in a thousand times; median",
-           lambda s: _over(np.median, s.errors.protected[1])),
+           lambda s: _over(np.median, s.errors.protection()[1])),
     Metric("protection_along_m", "m", "along", 2, "the same, along the track",
-           lambda s: _over(np.median, s.errors.on_axis(ALONG)[1])),
+           lambda s: _over(np.median, s.errors.protection("along")[1])),
     Metric("protection_across_m", "m", "across", 2, "the same, across the track",
-           lambda s: _over(np.median, s.errors.on_axis(ACROSS)[1])),
+           lambda s: _over(np.median, s.errors.protection("across")[1])),
     Metric("availability", "", "available", 3, "share of snapshots with a horizontal protection level below 3 m",
-           lambda s: _over(np.mean, s.errors.protected[1] < ALERT_LIMIT_M), rising=True),
+           lambda s: _over(np.mean, s.errors.protection()[1] < ALERT_LIMIT_M), rising=True, share=True),
     Metric("misleading", "", "misleading", 4, "share of snapshots with an error above the horizontal protection level",
-           lambda s: _exceeding(*s.errors.protected)),
+           lambda s: _exceeding(*s.errors.protection()), share=True),
     Metric("misleading_along", "", "along", 4, "the same, along the track",
-           lambda s: _exceeding(*s.errors.on_axis(ALONG))),
+           lambda s: _exceeding(*s.errors.protection("along")), share=True),
     Metric("misleading_across", "", "across", 4, "the same, across the track",
-           lambda s: _exceeding(*s.errors.on_axis(ACROSS))),
+           lambda s: _exceeding(*s.errors.protection("across")), share=True),
     Metric("bound_position_rmse_m", "m", "bound", 2,
            "Cramér-Rao bound of the position RMSE: the least error that a filter can have on average on this drive, "
            "errors that persist included", lambda s: None if s.bound is None else s.bound.position_rmse_m,

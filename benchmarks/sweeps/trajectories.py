@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.benchmarks.scores.map_scores import vt_nees
-from cellslam.benchmarks.scores.metrics import errors_of
+from cellslam.benchmarks.scores.metrics import NO_ERRORS, Errors, errors_of
 from cellslam.sim.data_files import arrays_of
 from cellslam.sim.errors import InputError
 
@@ -60,9 +60,13 @@ class Trajectory:
     heading_std_rad: Singles
 
     @property
-    def covariance(self) -> Floats:
-        """The claimed covariances (T, 2, 2) of the horizontal position in m^2; (0, 2, 2) where none are kept."""
-        return np.asarray(self.covariance_m2.reshape(-1, 3)[:, [0, 1, 1, 2]], np.float64).reshape(-1, 2, 2)
+    def errors(self) -> Errors:
+        """The errors and what was claimed of them; none where an older version kept no covariances."""
+        if not len(self.covariance_m2):
+            return NO_ERRORS
+        covariance = self.covariance_m2[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+        columns = (self.horizontal_m, covariance, self.poses[:, 3], self.heading_error_rad, self.heading_std_rad**2)
+        return Errors(*(np.asarray(column, np.float64) for column in columns))
 
 
 def trajectory(recording: Recording, result: TrialResult, limit: BoundResult | None) -> Trajectory:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.scores.metrics import METRIC, shown_in
-from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, paired, plain, statistic
+from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, paired, plain, share_interval, statistic
 from cellslam.benchmarks.sweeps.rows import results, varying_keys
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.recording import Floats
@@ -131,7 +131,10 @@ def estimate(
     values, of = finite(rows[metric]), statistic(name)
     if not len(values):
         return np.nan, np.nan, np.nan
-    return float(of.of(values)), *((np.nan, np.nan) if confidence is None else interval(values, of, confidence))
+    if confidence is None:
+        return float(of.of(values)), np.nan, np.nan
+    limits = share_interval(values, confidence) if METRIC[metric].share and name == "mean" else None
+    return float(of.of(values)), *(limits or interval(values, of, confidence))
 
 
 def row_keys(folder: str | Path, layout: Layout) -> list[str]:

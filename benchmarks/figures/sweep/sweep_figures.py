@@ -15,6 +15,7 @@ from cellslam.benchmarks.figures.consistency_page import Shown
 from cellslam.benchmarks.figures.style import GREY, HALF_WIDTH_IN, WIDTH_IN, Drawing, estimator_styles, write_all
 from cellslam.benchmarks.figures.sweep import sweep_data
 from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
+from cellslam.benchmarks.figures.sweep.stanford_diagram import draw_stanford
 from cellslam.benchmarks.figures.sweep.sweep_data import CurveChoice, Panel, Series, SweepData, axis, curve_keys
 from cellslam.benchmarks.scores.statistics import LEAST_VALUES, statistic
 from cellslam.benchmarks.tables.consistency import claimed_in
@@ -63,6 +64,7 @@ def draw_sweep(
         "error_time": lambda figure: _over_time(figure, data, "error_m", "horizontal error (m)"),
         "clock_offset": lambda figure: _over_time(figure, data, "offset_error_m", "clock offset error (m)"),
         "time_accuracy": lambda figure: _cost(figure, data, choice),
+        "stanford": lambda figure: draw_stanford(figure, data),
         "ranks": lambda figure: draw_ranks(figure, sweep_data.verdicts_of(data)),
     }
     for panel in data.panels[:MOST_PANELS]:
