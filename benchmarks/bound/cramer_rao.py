@@ -19,6 +19,7 @@ and m, the error of the mean of the filter that has this covariance:
                  m <- m + G^T L^-1 (residual - H m)                                            `_update`
     leaving      rows and columns of what is not met again are left out, which is exact        `Joint.only`
     bound        pose_covariance = P_rr after each snapshot; horizontal: sqrt(P_xx + P_yy)
+    map          of a VT: sqrt(trace P_vv)                                                        `_map_bound`
 
 Source: Tichavsky, Muravchik and Nehorai, "Posterior Cramer-Rao bounds for discrete-time nonlinear filtering", IEEE
 Trans. Signal Processing 46(5), 1998, in covariance form, as the odometry noise is singular.
@@ -45,7 +46,24 @@ if TYPE_CHECKING:
     from cellslam.sim.lte.persisting_errors import Cause
 
 SMALLEST_SCALE = 1e-6  # s of a state: before it is smaller P takes it over, or 1 / s^2 would drown the rest
+LOOKS = 20  # from so many on, a VT counts in the map's bound over time
+EVERY = 10  # snapshots from one value of the map's bound to the next
 IDLE = 0.1  # share of states that nothing meets any more, from which on they are taken out: to copy P takes time
+
+
+@dataclass(frozen=True, repr=False)
+class MapBound(Described):
+    """Bound of the V true VTs at the end of a drive: `std_m` (V,), root of the trace of the position's covariance, NaN
+    of VTs that were not seen; `error` (V, 3), estimate less truth in m of the filter that is linear about the truth.
+
+    `looks` (V,): in how many snapshots each was seen. `over_time_m` (T,): root mean square of the bound over the VTs
+    that have been seen at least `LOOKS` times by then, NaN before there is one.
+    """
+
+    std_m: Floats
+    error: Floats
+    looks: Ints
+    over_time_m: Floats
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,13 +73,14 @@ class BoundResult(Described):
     `pose_covariance` (T, 6, 6) in metres and radians; `clock_offset_std_m` (T, S); `pose_error` (T, 6): estimate less
     truth, on this drive, of the filter that is linear about the truth and has these covariances (`linear_model`).
     `merged_m`: the bound of the drive's horizontal error with what merging does as an error that persists, None where
-    few measurements are merged (`merged_paths`).
+    few measurements are merged (`merged_paths`). `map`: the bound of the VTs.
     """
 
     pose_covariance: Floats
     clock_offset_std_m: Floats
     pose_error: Floats
     merged_m: float | None = None
+    map: MapBound | None = None
 
     @property
     def horizontal_std_m(self) -> Floats:
@@ -130,6 +149,7 @@ def recursion(
     pose, offset, error = np.zeros((count, 6, 6)), np.zeros((count, len(core.offsets))), np.zeros((count, 6))
     joint = NOTHING.with_more(np.arange(core.size), motion.jump[0], np.diag(motion.start))
     joint = joint.with_more(known.states, known.m, known.P)
+    looks, over_time = _looks(drive, core), np.full(count, np.nan)
     survey, new = drive.survey, ~np.isin(drive.survey.state, known.states)  # a known map has it in
     joint = joint.with_more(survey.state[new], survey.error[new], np.diag(survey.variance[new]))
     with progress("Cramer-Rao bound", count) as advance:
@@ -139,13 +159,42 @@ def recursion(
             joint = _measure(joint, drive, t)
             pose[t], error[t] = joint.P[:6, :6], joint.m[:6]
             offset[t] = joint.P[core.offsets, core.offsets]
+            over_time[t] = (
+                _rms(_map_bound(joint, drive, core)[0][looks[t] >= LOOKS]) if t % EVERY == 0 else over_time[t - 1]
+            )
             last = drive.states.last[joint.states]
             gone = (last != NEVER) & (last <= t)
             if gone.mean() > IDLE:
                 joint = joint.only(np.flatnonzero(~gone))
             advance(1)
     vts = (joint.states >= core.size) & (drive.states.last[joint.states] == NEVER)
-    return BoundResult(pose, np.sqrt(np.maximum(offset, 0.0)), error), joint.only(np.flatnonzero(vts))
+    of_map = MapBound(*_map_bound(joint, drive, core), looks[-1], over_time)
+    return BoundResult(pose, np.sqrt(np.maximum(offset, 0.0)), error, map=of_map), joint.only(np.flatnonzero(vts))
+
+
+def _map_bound(joint: Joint, drive: Drive, core: Core) -> tuple[Floats, Floats]:
+    """Return the bounds (V,) in m of the true VTs, NaN of those that are not there, and the errors (V, 3) of the mean;
+    VTs do not fade, so that their scale is 1."""
+    place = np.full(len(drive.states.last), -1)
+    place[joint.states] = np.arange(len(joint.states))
+    at = place[core.size + 3 * drive.vts[:, None] + np.arange(3)]
+    there = at >= 0
+    variance = np.where(there, joint.P[at, at], np.nan).sum(axis=1)
+    return np.sqrt(variance), np.where(there, joint.m[at], np.nan)
+
+
+def _looks(drive: Drive, core: Core) -> Ints:
+    """Return in how many snapshots (T, V) each true VT has been seen by the end of each."""
+    s, vt = drive.sightings, (drive.views.state[:, 0, 0] - core.size) // 3
+    snapshot = np.zeros(len(vt), np.int64)
+    snapshot[s.view_of] = np.repeat(np.arange(len(s.rows) - 1), np.diff(s.rows))
+    seen = np.zeros((len(s.rows) - 1, int(max(drive.vts.max(initial=-1), vt.max(initial=-1))) + 1), np.int32)
+    seen[snapshot, vt] = 1
+    return np.asarray(seen.cumsum(axis=0)[:, drive.vts], np.int64)
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
 
 
 def _predict(joint: Joint, drive: Drive, t: int) -> Joint:

@@ -108,13 +108,14 @@ class States(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """The linear model of a drive."""
+    """The linear model of a drive; `vts` (V,): the number of each true VT."""
 
     motion: Motion
     views: Views
     sightings: Sightings
     states: States
     survey: Survey
+    vts: Ints
 
 
 def linear_model(
@@ -132,7 +133,7 @@ def linear_model(
         number, numbers = np.arange(len(truth.vts)), len(truth.vts)
     views, sightings, states = tracked_measurements(recording, truth, core, number, numbers, calibrated, merging)
     survey = survey_of(recording.sites, truth, core, number)
-    return core, Drive(motion_of(recording, truth, core), views, sightings, states, survey)
+    return core, Drive(motion_of(recording, truth, core), views, sightings, states, survey, number)
 
 
 # ---- the core --------------------------------------------------------------------------------------------------------
@@ -303,11 +304,9 @@ def tracked_measurements(
         residual=residual,
         state=np.where(persisting.own_state >= 0, errors + persisting.own_state, -1), load=persisting.own_load,
     )  # fmt: skip
-    last = np.full(errors, NEVER)
-    # Sorted by snapshot: of several values for one state the last stays.
-    last[sightings.vt[:, None] + np.arange(3)] = snapshot[:, None]
+    # VTs stay to the end: their own bound is asked for.
     states = States(
-        last=np.concatenate([last, persisting.last]),
+        last=np.concatenate([np.full(errors, NEVER), persisting.last]),
         kind=np.concatenate([np.zeros(errors, np.int64), persisting.kind]),
         decay=persisting.decay,
     )

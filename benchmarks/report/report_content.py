@@ -32,14 +32,14 @@ from cellslam.benchmarks.sweeps.rows import oracles, provenance
 from cellslam.benchmarks.sweeps.store import reading
 from cellslam.benchmarks.tables.formats import Column, columns_of
 from cellslam.benchmarks.tables.rankings import significant_pairs
-from cellslam.benchmarks.tables.summaries import CONFIDENCE, EFFICIENCY, estimate
+from cellslam.benchmarks.tables.summaries import CONFIDENCE, RATIOS, estimate
 from cellslam.sim.progress import Progress
 
 MOST_POINTS_OF_CURVES = 400
 MOST_PANELS = 24
 PLOTTED = {key: metric for key, metric in METRIC.items() if metric.axis}
 MORE_DIGITS = 1  # than in tables: figures are looked into
-COLUMNS = columns_of("report", (*METRIC_KEYS, EFFICIENCY))
+COLUMNS = columns_of("report", (*METRIC_KEYS, *RATIOS))
 
 
 def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def _summary(data: SweepData) -> dict[str, Any]:
             lines.append({"settings": settings, "label": one.label, "cells": cells, "ok": ok, "all": len(one.rows)})
     headings = []
     for column in COLUMNS:
-        over = "" if column.metric == EFFICIENCY else f"; {column.statistic} over trials"
+        over = "" if column.metric in RATIOS else f"; {column.statistic} over trials"
         headings.append(_heading(column.metric, column.name) | {"title": METRIC[column.metric].meaning + over})
     empty = [i for i in range(len(COLUMNS)) if all(line["cells"][i] is None for line in lines)]
     for line in lines:
@@ -98,7 +98,7 @@ def _cell(one: Series, column: Column) -> list[float | None] | None:
     """Return value and ends of the interval; None where no trial has the metric."""
     fine = one.rows[one.rows["status"] == "ok"]
     found = estimate(fine, column.metric, column.statistic, CONFIDENCE if column.interval else None)
-    digits = METRIC[column.metric].digits + (MORE_DIGITS if column.metric != EFFICIENCY else 0)
+    digits = METRIC[column.metric].digits + (MORE_DIGITS if column.metric not in RATIOS else 0)
     return None if np.isnan(found[0]) else list(rounded(found, digits))
 
 

@@ -25,12 +25,20 @@ from cellslam.benchmarks.scores.belief import (
     squared_error,
     two_sided,
 )
-from cellslam.benchmarks.scores.map_scores import Tracks, map_gospa, precision_recall, tracks_of, transmitter_errors
+from cellslam.benchmarks.scores.map_scores import (
+    DETECTIONS_OF_A_TRUE_VT,
+    Tracks,
+    map_gospa,
+    precision_recall,
+    stand_for,
+    tracks_of,
+    transmitter_errors,
+)
 from cellslam.benchmarks.scores.reference_fixes import at_fixes, compared, covariances_at_fixes, unled, usable, within
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.scores.walls import wall_scores
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.recording import Floats, Recording, Reference
+from cellslam.sim.recording import Floats, Ints, Recording, Reference
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.bound.cramer_rao import BoundResult
@@ -107,6 +115,26 @@ class Scored:
         if truth is None or association is None:
             return None
         return tracks_of(self.recording.measurements.link, association, truth.measurement_vt)
+
+    @cached_property
+    def mapped(self) -> tuple[Floats, Floats, Ints]:
+        """Errors of the final VTs and bounds of what they stand for (n,), in m, and in how many snapshots that was seen
+        (n,); none without a bound of the map."""
+        truth, vts, association = self.recording.truth, self.result.vts, self.result.association
+        if truth is None or vts is None or association is None or self.bound is None or self.bound.map is None:
+            return np.zeros(0), np.zeros(0), np.zeros(0, np.int64)
+        of = stand_for(self.recording, vts, association)
+        known = np.flatnonzero(of >= 0)
+        known = known[np.isfinite(self.bound.map.std_m[of[known]])]
+        error = np.linalg.norm(vts.position_m[known] - truth.vts.position_m[of[known]], axis=1)
+        return error, self.bound.map.std_m[of[known]], self.bound.map.looks[of[known]]
+
+    @cached_property
+    def settled(self) -> tuple[Floats, Floats]:
+        """Errors and bounds (n,) in m of the final VTs that were seen in twenty snapshots or more."""
+        error, bound, looks = self.mapped
+        often = looks >= DETECTIONS_OF_A_TRUE_VT
+        return error[often], bound[often]
 
     @cached_property
     def walls(self) -> dict[str, float | None]:
@@ -223,6 +251,12 @@ METRICS = (
     Metric("map_gospa_m", "m", "GOSPA", 2,
            "map of virtual transmitters: GOSPA, mean over links, which also counts what is missed and what is false",
            lambda s: s.map_gospa_m, "map GOSPA", tables="trials suite report"),
+    Metric("map_rmse_m", "m", "VTs", 2,
+           "error of the final virtual transmitters that were seen in twenty snapshots or more, root mean square",
+           lambda s: _rms(s.settled[0])),
+    Metric("bound_map_m", "m", "bound of VTs", 2,
+           "Cramér-Rao bound of the same: the least error that a filter can have of what these VTs stand for",
+           lambda s: _rms(s.settled[1])),
     Metric("wall_gospa_m", "m", "walls", 2, "walls, of estimators that report walls: GOSPA of their visible parts",
            lambda s: s.walls.get("wall_gospa_m")),
     Metric("wall_share", "", "mapped", 2, "share of the seen facades' length that is mapped",
@@ -287,6 +321,8 @@ RATIOS = (
            "root mean square of the RMSE over that of the bound, 1 at best", tables="trials summary suite report"),
     Metric("efficiency_ratio_merged", "", "merging counted in", 2,
            "the same, of the bound with merging as an error that persists", tables="trials suite"),
+    Metric("map_efficiency_ratio", "", "map efficiency", 2, "root mean square of the VTs' error over that of its bound",
+           tables="suite report"),
 )  # fmt: skip
 METRIC_KEYS, COST_KEYS = tuple(m.key for m in METRICS), tuple(m.key for m in COSTS)
 # In the order of columns: the ratio stands beside the error that it is of.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.benchmarks.scores.map_scores import vt_nees
-from cellslam.benchmarks.scores.metrics import NO_ERRORS, Errors, errors_of
+from cellslam.benchmarks.scores.metrics import NO_ERRORS, Errors, Scored
 from cellslam.sim.data_files import arrays_of
 from cellslam.sim.errors import InputError
 
@@ -22,13 +22,18 @@ if TYPE_CHECKING:
     from cellslam.sim.recording import Floats, Recording
 
 Singles = NDArray[np.float32]
-# Sizes of the columns: T snapshots, S sites, V final VTs.
+# Sizes of the columns: T snapshots, S sites, V final VTs, K of them that stand for one that has a bound.
 SHAPES = {
     "time_s": "T", "poses": "T6", "error_m": "T", "nees": "T", "std_m": "T", "bound_std_m": "T", "offset_error_m": "TS",
     "offset_std_m": "TS", "vt_m": "V3", "vt_link": "V", "vt_first": "V", "vt_nees": "V", "horizontal_m": "T2",
-    "covariance_m2": "T3", "heading_error_rad": "T", "heading_std_rad": "T",
+    "covariance_m2": "T3", "heading_error_rad": "T", "heading_std_rad": "T", "map_error_m": "K", "map_bound_m": "K",
+    "map_looks": "K",
 }  # fmt: skip
-LATER = ("horizontal_m", "covariance_m2", "heading_error_rad", "heading_std_rad")  # not in files of before
+# Not in files of before.
+LATER = (
+    *("horizontal_m", "covariance_m2", "heading_error_rad", "heading_std_rad"),
+    *("map_error_m", "map_bound_m", "map_looks"),
+)
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,9 @@ class Trajectory:
     `offset_error_m`, `offset_std_m` (T, S); `vt_m` (V, 3); `vt_link` (V,); `vt_first` (V,): snapshot of the first
     measurement that was associated with the VT, -1 where that is not known; `vt_nees` (V,): its normalised error
     squared (3 is right), NaN where it stands for no true VT. `horizontal_m` (T, 2): estimate less truth;
-    `covariance_m2` (T, 3): xx, xy and yy of its claim; `heading_error_rad`, `heading_std_rad` (T,).
+    `covariance_m2` (T, 3): xx, xy and yy of its claim; `heading_error_rad`, `heading_std_rad` (T,). `map_error_m`,
+    `map_bound_m`, `map_looks` (K,): of the final VTs that stand for a true one with a bound, in how many snapshots that
+    was seen.
     """
 
     time_s: Singles
@@ -58,6 +65,9 @@ class Trajectory:
     covariance_m2: Singles
     heading_error_rad: Singles
     heading_std_rad: Singles
+    map_error_m: Singles
+    map_bound_m: Singles
+    map_looks: NDArray[np.int32]
 
     @property
     def errors(self) -> Errors:
@@ -73,7 +83,8 @@ def trajectory(recording: Recording, result: TrialResult, limit: BoundResult | N
     """Return what is kept of one result."""
     truth, empty = recording.truth, np.empty(0)
     offset, variance = result.clock_offset_m, result.clock_offset_variance_m2
-    elapsed_s, vts, errors = recording.elapsed_s, result.vts, errors_of(recording, result)
+    scored = Scored(recording, result, limit)
+    elapsed_s, vts, errors = recording.elapsed_s, result.vts, scored.errors
     known = truth is not None
 
     def single(column: Any) -> Singles:
@@ -96,6 +107,9 @@ def trajectory(recording: Recording, result: TrialResult, limit: BoundResult | N
         covariance_m2=single(errors.covariance.reshape(-1, 4)[:, [0, 1, 3]] if known else empty),
         heading_error_rad=single(errors.heading if known else empty),
         heading_std_rad=single(np.sqrt(np.maximum(errors.heading_variance, 0.0)) if known else empty),
+        map_error_m=single(scored.mapped[0]),
+        map_bound_m=single(scored.mapped[1]),
+        map_looks=scored.mapped[2].astype(np.int32),
     )
 
 

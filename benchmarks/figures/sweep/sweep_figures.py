@@ -64,6 +64,7 @@ def draw_sweep(
         "error_time": lambda figure: _over_time(figure, data, "error_m", "horizontal error (m)"),
         "clock_offset": lambda figure: _over_time(figure, data, "offset_error_m", "clock offset error (m)"),
         "time_accuracy": lambda figure: _cost(figure, data, choice),
+        "map_looks": lambda figure: _looks(figure, data),
         "stanford": lambda figure: draw_stanford(figure, data),
         "ranks": lambda figure: draw_ranks(figure, sweep_data.verdicts_of(data)),
     }
@@ -120,6 +121,34 @@ def _consistency(figure: Figure, data: SweepData, panel: Panel) -> bool:
         if drives and (curve := data.over_time(one, "nees")) is not None:
             shown[one.label] = Shown(drives, *curve)
     return consistency_page.draw(figure, shown, panel.title)
+
+
+def _looks(figure: Figure, data: SweepData) -> bool:
+    """Draw the root mean square of VTs' errors against how many snapshots saw them, and that of the bound."""
+    found = {
+        panel: {
+            one.label: np.concatenate([(d.map_error_m, d.map_bound_m, d.map_looks) for d in drives], axis=1)
+            for one in panel.series
+            if (drives := [drive for drive in data.drives(one) if len(drive.map_looks)])
+        }
+        for panel in data.panels[:MOST_PANELS]
+    }
+    panels = [panel for panel, of in found.items() if of]
+    for axes, panel, styles in _panels(figure, data, panels):
+        for label, (error, bound, looks) in found[panel].items():
+            bins = np.floor(np.log2(looks)).astype(int)
+            there = np.unique(bins)
+            x = [np.exp(np.log(looks[bins == b]).mean()) for b in there]
+            for values, style in ((error, styles[label]), (bound, {**styles[label], "linestyle": ":", "label": None})):
+                axes.plot(
+                    x, [np.sqrt(np.mean(values[bins == b] ** 2)) for b in there], **style, marker="o", markersize=3
+                )
+        axes.set(xscale="log", yscale="log", xlabel="snapshots that saw a VT")
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_major_formatter("{x:g}")
+    if panels:
+        figure.axes[0].set_ylabel("error of VTs (m), root mean square;\ndotted: bound of the same")
+    return bool(panels)
 
 
 def _curves(data: SweepData, column: str) -> dict[Panel, dict[str, Curve]]:
