@@ -62,9 +62,8 @@ def draw(figure: Figure, shown: Mapping[str, Shown], title: str = "") -> bool:
         xlim=(0, 1), ylim=(0, 1), xlabel="claimed probability of an ellipse", ylabel="share of errors in it"
     )
     pit.axhline(1.0, color=BLACK, linewidth=0.8, linestyle=":")
-    pit.set(
-        xlim=(0, 1), ylim=(0, None), xlabel="claimed probability of the ellipse through the truth", ylabel="density"
-    )
+    pit.set(xlim=(0, 1), ylim=(0, min(pit.get_ylim()[1], MOST_DENSITY)), ylabel="density")
+    pit.set_xlabel("claimed probability of the ellipse through the truth")
     draw_nees(nees, {label: (one.time_s, one.nees) for label, one in there.items()}, styles)
     _outside(outside, there, styles)
     drives = sorted({len(one.drives) for one in there.values()})

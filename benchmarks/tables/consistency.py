@@ -62,11 +62,12 @@ def consistency(folder: str | Path, times: int = 10, rows: Sequence[str] | None 
     """Return how consistent covariances are with errors, by group of a sweep's trials, at `times` moments.
 
     Where drives of a group differ in length, a moment is the same share of each. Columns: the row keys, `time_s` (the
-    median), `trials`; `nees` of the horizontal position, mean over trials (2 is right), with
-    the band `nees_low`, `nees_high` in which 95 % of such means are if all is right; `clock_share` of the sites' clock
-    offsets that lie within two claimed deviations, `vt_share` of the final VTs that lie within their 95 % ellipsoid (at
-    the end, and where it is known which VT each stands for), both with Wilson's 95 % interval (`_low`, `_high`) and
-    their number (`clocks`, `vts`). None where there is nothing. Raises InputError where no trajectories are kept.
+    median), `trials`; `nees` of the horizontal position, mean over trials (2 is right), with the band `nees_low`,
+    `nees_high` in which 95 % of such means are if all is right; `position_share` of the drives whose position lies
+    within its 95 % ellipse; `clock_share` of the sites' clock offsets that lie within two claimed deviations,
+    `vt_share` of the final VTs that lie within their 95 % ellipsoid (at the end, and where it is known which VT each
+    stands for), all with Wilson's 95 % interval (`_low`, `_high`) and their number (`positions`, `clocks`, `vts`). None
+    where there is nothing. Raises InputError where no trajectories are kept.
     """
     import pandas as pd
 
@@ -104,12 +105,22 @@ def _over_time(drives: Iterable[Trajectory], times: int) -> Iterator[dict[str, A
         squared = squared[np.isfinite(squared)]
         low, high = nees_band(len(squared)) if len(squared) else (None, None)
         mean = float(squared.mean()) if len(squared) else None
+        position = _share("position", squared <= chi2.ppf(CONFIDENCE, 2))
         ratio = np.concatenate([own[number] for own in ratios])
         clock = _share("clock", ratio[~np.isnan(ratio)] <= SIGMAS)  # a clock that was known has no ratio
         last = number == times - 1
         vt = _share("vt", np.concatenate(vts) <= chi2.ppf(CONFIDENCE, 3) if last else np.zeros(0, bool))
         time_s = float(np.median([own[number] for own in moments]))
-        yield {"time_s": time_s, "trials": len(nees), "nees": mean, "nees_low": low, "nees_high": high, **clock, **vt}
+        yield {
+            "time_s": time_s,
+            "trials": len(nees),
+            "nees": mean,
+            "nees_low": low,
+            "nees_high": high,
+            **position,
+            **clock,
+            **vt,
+        }
 
 
 def _clock_ratios(one: Trajectory, at: Ints) -> Any:

@@ -136,9 +136,17 @@ def consistency_grid(tidy: pd.DataFrame, keys: Sequence[str], oracles: frozenset
     for line in tidy.to_dict("records"):
         row = (_label(key, line[key], oracles) for key in keys)
         band = f"{number(line['nees_low'])} to {number(line['nees_high'])}"
-        shares = (_percent(line, "clock"), _percent(line, "vt"))
+        shares = (_percent(line, name) for name in ("position", "clock", "vt"))
         lines.append((*row, f"{line['time_s']:.0f}", number(line["nees"]), band, *shares, str(line["trials"])))
-    headings = ("time (s)", "NEES", "95 % if consistent", "clocks in 2 sigma", "VTs in 95 %", "trials")
+    headings = (
+        "time (s)",
+        "NEES",
+        "95 % if consistent",
+        "positions in 95 %",
+        "clocks in 2 sigma",
+        "VTs in 95 %",
+        "trials",
+    )
     notes = ("NEES: of the horizontal position, mean over trials; shares with 95 % intervals; VTs: those at the end",)
     return Grid((*keys, *headings), tuple(lines), len(keys), notes)
 

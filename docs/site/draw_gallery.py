@@ -121,6 +121,7 @@ GALLERY = {
 }
 # Of the tutorials: the same, without a place in the gallery.
 OTHERS = {
+    "stanford": Picture("clutter/figures/stanford.png", "", "", _SWEEP),
     "tiny-map": Picture("tiny/map.png", "", "", ("cellslam run tiny --out tiny",)),
     "coasting-error": Picture(
         "coasting/error.png",

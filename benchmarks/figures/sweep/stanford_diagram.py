@@ -45,7 +45,7 @@ def draw_stanford(figure: Figure, data: SweepData) -> bool:
     for axes, (label, pairs) in zip(grid.flat, found.items(), strict=False):
         error, level = (np.concatenate(column) for column in zip(*pairs, strict=True))
         _panel(axes, error, level, edges)
-        axes.set_title(f"{label}, {len(pairs)} drives", fontsize=7.5)
+        axes.set_title(label, fontsize=7.5)
     for axes in list(grid.flat)[len(found) :]:
         axes.set_visible(False)
     figure.supxlabel("horizontal error (m)", fontsize=8.5)

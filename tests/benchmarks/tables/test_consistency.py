@@ -52,6 +52,8 @@ def test_an_honest_estimator_lies_in_the_bands_and_one_that_claims_too_much_does
     assert list(consistent["time_s"]) == pytest.approx(np.arange(1, 21))
     assert consistent["nees"].between(consistent["nees_low"], consistent["nees_high"]).mean() >= 0.85
     assert (confident["nees"] > confident["nees_high"]).all()
+    assert consistent["position_share"].mean() == pytest.approx(0.95, abs=0.02)
+    assert confident["position_share"].mean() == pytest.approx(1.0 - 0.05**0.36, abs=0.03)
     assert consistent["clock_share"].between(0.91, 0.99).all()
     assert confident["clock_share"].to_numpy() == pytest.approx(0.77, abs=0.09)
     assert (consistent["clocks"] == TRIALS * SITES).all()
