@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -20,7 +21,7 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
 
 RESAMPLES = 1999
-DRAWS = 9999  # of an upper limit
+DRAWS = 9999  # of an upper limit, the most
 LEAST_VALUES = 5
 NAMES = "median, mean, rmse, min, max, q5 to q99.9, share>VALUE"
 # Elements of one batch of resamples: bounds the memory, not the result.
@@ -124,8 +125,14 @@ def upper_limit(shares: Floats, confidence: float) -> float:
     if not len(shares):
         return float("nan")
     steps = np.diff(np.sort(shares), append=1.0)
-    uniform = np.sort(np.random.default_rng(0).random((DRAWS, len(shares))), axis=1)
-    return float(np.quantile(1.0 - uniform @ steps, confidence))
+    return float(np.quantile(1.0 - _uniform(len(shares)) @ steps, confidence))
+
+
+@lru_cache(maxsize=1)
+def _uniform(count: int) -> Floats:
+    """Return sorted uniform draws (k, count)."""
+    draws = max(RESAMPLES, min(DRAWS, _BATCH // count))
+    return np.sort(np.random.default_rng(0).random((draws, count)), axis=1)
 
 
 def share_interval(shares: Floats, confidence: float) -> tuple[float, float]:

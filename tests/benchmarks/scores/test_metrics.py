@@ -55,7 +55,10 @@ def test_a_perfect_estimate_scores_perfectly(make_recording):
     one = {"association_precision", "association_recall", "wall_share", "availability"}
     one |= {key for key in METRIC_KEYS if "coverage" in key}
     assert {key: scores[key] for key in one} == dict.fromkeys(one, 1.0)
-    sizes = {key for key in METRIC_KEYS if key.startswith(("protection", "claimed", "log_score", "energy_score"))}
+    assert scores["map_rmse_m"] is scores["bound_map_m"] is None  # this bound is of the position alone
+    sizes = {"map_rmse_m", "bound_map_m"} | {
+        key for key in METRIC_KEYS if key.startswith(("protection", "claimed", "log_score", "energy_score"))
+    }
     zero = set(METRIC_KEYS) - {"bound_position_rmse_m", "bound_merged_m", *one, *sizes}
     assert {key: scores[key] for key in zero} == pytest.approx(dict.fromkeys(zero, 0.0), abs=1e-9)
 
