@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from cellslam.benchmarks.figures.style import context, estimator_styles
+from cellslam.benchmarks.figures.style import Drawing, context, estimator_styles
 from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
+from cellslam.benchmarks.figures.sweep.stanford_diagram import draw_stanford
 from cellslam.benchmarks.figures.sweep.sweep_data import (
     CurveChoice,
     Series,
@@ -60,6 +61,7 @@ def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
         ],
         "summary": _summary(data),
         "ranks": _ranks(data),
+        "integrity": _image(lambda figure: draw_stanford(figure, data)),
         "curves": _curves(data),
         "panels": _distributions(data),
         "columns": {metric: _heading(metric, known.heading) for metric, known in METRIC.items()},
@@ -103,16 +105,24 @@ def _cell(one: Series, column: Column) -> list[float | None] | None:
 
 
 def _ranks(data: SweepData) -> dict[str, Any] | None:
-    """Return the diagram of mean ranks as an SVG in a data URI, and how many pairs of each panel differ."""
+    """Return the diagram of mean ranks, and how many pairs of each panel differ."""
     judged = verdicts_of(data)
+    image = _image(lambda figure: draw_ranks(figure, judged))
+    if image is None:
+        return None
+    pairs = [f"{title}: {significant_pairs(one)}" if title else significant_pairs(one) for title, one in judged.items()]
+    return {"image": image, "significant_pairs": pairs}
+
+
+def _image(drawing: Drawing) -> str | None:
+    """Return a figure as an SVG in a data URI; None where it does not apply."""
     with context():
         figure = Figure(layout="constrained")
-        if not draw_ranks(figure, judged):
+        if not drawing(figure):
             return None
         drawn = BytesIO()
         figure.savefig(drawn, format="svg", metadata={"Date": None})
-    pairs = [f"{title}: {significant_pairs(one)}" if title else significant_pairs(one) for title, one in judged.items()]
-    return {"image": f"data:image/svg+xml;base64,{b64encode(drawn.getvalue()).decode()}", "significant_pairs": pairs}
+    return f"data:image/svg+xml;base64,{b64encode(drawn.getvalue()).decode()}"
 
 
 def _curves(data: SweepData) -> list[dict[str, Any]]:
