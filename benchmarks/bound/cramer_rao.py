@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.linalg.blas import dgemm
+from scipy.linalg.blas import dsymm, dsyrk, dtrsm
 from threadpoolctl import threadpool_limits
 
 from cellslam.benchmarks.bound.linear_model import NEVER, Core, Drive, linear_model
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from cellslam.sim.lte.persisting_errors import Cause
 
 SMALLEST_SCALE = 1e-6  # s of a state: before it is smaller P takes it over, or 1 / s^2 would drown the rest
+ROUNDING = 1e-14  # of a matrix's trace, which its eigenvalues can be wrong by
 IDLE = 0.1  # share of states that nothing meets any more, from which on they are taken out: to copy P takes time
 
 
@@ -78,7 +79,7 @@ class BoundResult(Described):
 class Joint:
     """What is known of the n states that are there: covariance `P` (n, n), error `m` (n,) of the mean, and the numbers
     `states` (n,) of these states. P and m are those of the states divided by their `scale` (n,), which is 1 for states
-    that do not fade. P is in Fortran's order, so that BLAS can write into it."""
+    that do not fade. Of P only the lower triangle is kept up; it is in Fortran's order, so that BLAS can write into it."""
 
     P: Floats
     m: Floats
@@ -91,12 +92,11 @@ class Joint:
         n, size = len(self.m), len(self.m) + len(m)
         joint = np.zeros((size, size), order="F")
         joint[:n, :n], joint[n:, n:], joint[n:, :n] = self.P, P, P_old
-        joint[:n, n:] = joint[n:, :n].T
         scale = np.concatenate([self.scale, np.ones(len(m))])
         return Joint(joint, np.concatenate([self.m, m]), np.concatenate([self.states, states]), scale)
 
     def only(self, kept: Ints) -> Joint:
-        """Return some of the states alone, those at the places `kept` (k,)."""
+        """Return some of the states alone, those at the places `kept` (k,), which rise."""
         P = np.asfortranarray(self.P[np.ix_(kept, kept)])
         return Joint(P, self.m[kept], self.states[kept], self.scale[kept])
 
@@ -137,7 +137,7 @@ def recursion(
             if t > 0:
                 joint = _predict(joint, drive, t)
             joint = _measure(joint, drive, t)
-            pose[t], error[t] = joint.P[:6, :6], joint.m[:6]
+            pose[t], error[t] = symmetric(joint.P[:6, :6]), joint.m[:6]
             offset[t] = joint.P[core.offsets, core.offsets]
             last = drive.states.last[joint.states]
             gone = (last != NEVER) & (last <= t)
@@ -153,9 +153,8 @@ def _predict(joint: Joint, drive: Drive, t: int) -> Joint:
     part and gain as much variance."""
     F, P, m = drive.motion.F[t], joint.P, joint.m
     core = len(F)
-    moved = P[:, :core] @ F.T
-    moved[:core] = F @ moved[:core] + drive.motion.Q[t]
-    P[:, :core], P[:core] = moved, moved.T
+    P[:core, :core] = F @ symmetric(P[:core, :core]) @ F.T + drive.motion.Q[t]
+    P[core:, :core] = P[core:, :core] @ F.T
     m[:core] = F @ m[:core] + drive.motion.jump[t]
     a = drive.states.decay[t, drive.states.kind[joint.states]]
     scale = joint.scale * a
@@ -165,6 +164,11 @@ def _predict(joint: Joint, drive: Drive, t: int) -> Joint:
         scale = np.ones(len(a))
     P[np.diag_indices(len(a))] += (1.0 - a**2) / scale**2
     return replace(joint, scale=scale)
+
+
+def symmetric(P: Floats) -> Floats:
+    """Return the matrix (n, n) whose lower triangle is that of P."""
+    return np.tril(P) + np.tril(P, -1).T
 
 
 def _measure(joint: Joint, drive: Drive, t: int) -> Joint:
@@ -182,7 +186,9 @@ def _measure(joint: Joint, drive: Drive, t: int) -> Joint:
         joint = joint.with_more(new, np.zeros(len(new)), np.eye(len(new)))
     if first.any():
         joint = _give_births(joint, drive, rows[first])
-    _update(joint, drive, rows, np.isfinite(s.variance[rows]) & ~first[:, None])
+    measured = np.isfinite(s.variance[rows]) & ~first[:, None]
+    if measured.any():
+        _update(joint, drive, rows, measured)
     return joint
 
 
@@ -198,7 +204,15 @@ class Loads:
 
     def __matmul__(self, x: Floats) -> Floats:
         """Return H x, for x (n,) or (n, l)."""
-        product: Floats = (self.shared @ x)[self.of] + (self.load * x[self.own].T).T
+        return self._together(self.shared @ x, x[self.own])
+
+    def times(self, P: Floats) -> Floats:
+        """Return H P for a symmetric P (n, n), of which the lower triangle is read."""
+        rows = np.where(np.arange(len(P)) <= self.own[:, None], P[self.own], P[:, self.own].T)
+        return self._together(dsymm(1.0, P, self.shared.T, lower=1).T, rows)
+
+    def _together(self, shared: Floats, own: Floats) -> Floats:
+        product: Floats = shared[self.of] + (self.load * own.T).T
         return product
 
 
@@ -225,7 +239,7 @@ def _give_births(joint: Joint, drive: Drive, rows: Ints) -> Joint:
     """
     s, H = drive.sightings, _loads(joint, drive, rows, np.ones((len(rows), 3), np.bool_))
     D = block_diag(*np.linalg.inv(drive.views.by_vt[s.view_of[rows]]))
-    HP = H @ joint.P.T
+    HP = H.times(joint.P)
     P_v = D @ (H @ HP.T + np.diag(s.variance[rows].ravel())) @ D.T
     v = (s.vt[rows, None] + np.arange(3)).ravel()
     return joint.with_more(v, D @ (s.residual[rows].ravel() - H @ joint.m), P_v, -D @ HP)
@@ -234,13 +248,15 @@ def _give_births(joint: Joint, drive: Drive, rows: Ints) -> Joint:
 def _update(joint: Joint, drive: Drive, rows: Ints, measured: NDArray[np.bool_]) -> None:
     """Take the `measured` (k, 3) components of measurements `rows` (k,) in, whose white errors have variances R.
 
-    With R^-1/2 H P H^T R^-1/2 = V diag(l) V^T the root is L = R^1/2 V diag(1 + l)^1/2. Rounding apart, no innovation
-    varies by less than its measurement: no l is negative.
+    H, z and S are divided by the roots of R: S is 1 + H P H^T, and L its Cholesky factor. No eigenvalue of S is below 1,
+    but for rounding, as large as the largest is far: so much is added to the diagonal.
     """
     s, H = drive.sightings, _loads(joint, drive, rows, measured)
-    HP, root = H @ joint.P.T, np.sqrt(s.variance[rows][measured])
-    eigenvalue, V = np.linalg.eigh((H @ HP.T) / root / root[:, None])
-    L_inverse = V.T / np.sqrt(1.0 + np.maximum(eigenvalue, 0.0))[:, None] / root
-    G = L_inverse @ HP
-    dgemm(-1.0, G, G, beta=1.0, c=joint.P, trans_a=1, overwrite_c=1)
-    joint.m[:] += (L_inverse @ (s.residual[rows][measured] - H @ joint.m)) @ G
+    root = np.sqrt(s.variance[rows][measured])
+    HP = H.times(joint.P) / root[:, None]
+    S = (H @ HP.T) / root[:, None]
+    S[np.diag_indices(len(S))] += 1.0 + ROUNDING * np.trace(S)
+    L = np.linalg.cholesky(S)
+    G = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1)  # transposed, as BLAS has it: (n, k)
+    dsyrk(-1.0, G, beta=1.0, c=joint.P, lower=1, overwrite_c=1)
+    joint.m[:] += G @ np.linalg.solve(L, (s.residual[rows][measured] - H @ joint.m) / root)

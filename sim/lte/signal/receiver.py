@@ -17,6 +17,7 @@ from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
 from cellslam.sim.lte.array import AntennaArray, CircularArray, Complex, Floats, Steering, array_at, switching_times_s
 from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.signal.path_estimator.acquire_kernel import Demands
+from cellslam.sim.lte.signal.path_estimator.fit_kernel import DEGREE, MARGIN, STENCIL, DelayGrid
 from cellslam.sim.lte.signal.path_estimator.search_kernel import Probe
 from cellslam.sim.lte.signal.tone_reduction import ToneReduction, reduction_of
 from cellslam.sim.lte.steering_kernel import SteeringModel, steer
@@ -85,14 +86,30 @@ class Receiver:
 
     @cached_property
     def delays_m(self) -> Floats:
-        """Searched distances (D,) in m."""
-        return np.arange(self.window_min_m, self.window_max_m + self.pitch_m, self.pitch_m)
+        """Searched distances (D,) in m, with a margin on either side of the window."""
+        beyond = MARGIN * self.pitch_m
+        return np.arange(self.window_min_m - beyond, self.window_max_m + self.pitch_m + beyond, self.pitch_m)
+
+    @cached_property
+    def grid(self) -> DelayGrid:
+        """What correlations with the tones of other distances are made from: shares are fitted to the tones."""
+        way = np.linspace(-1.0, 1.0, 8 * DEGREE)
+        places, between = np.arange(STENCIL) - 0.5 * (STENCIL - 1), 0.5 * way
+        known, asked = (np.exp(-1j * np.outer(self.rate, self.pitch_m * at)) for at in (places, between))
+        shares = np.linalg.lstsq(known, asked, rcond=1e-6)[0].real
+        powers = np.linalg.lstsq(np.vander(way, DEGREE + 1, increasing=True), shares.T, rcond=None)[0]
+        return DelayGrid(self.delays_m, np.sqrt(len(self.rate)) * powers, self.demands.coarser)
 
     @cached_property
     def delay_matrix(self) -> ComplexSingle:
         """Unit vectors (tones, D) that pick each searched distance."""
         matrix = np.exp(1j * np.outer(self.rate, self.delays_m)) / np.sqrt(len(self.rate))
         return np.ascontiguousarray(matrix, np.complex64)
+
+    def at_distances(self, y: Complex) -> ComplexSingle:
+        """Return samples (ports, tones), those received, correlated with the tones of the searched distances (ports,
+        D)."""
+        return np.asarray(self.fitted.of(y).astype(np.complex64) @ self.delay_matrix, np.complex64)
 
     @cached_property
     def directions(self) -> tuple[Floats, Floats]:
@@ -101,15 +118,6 @@ class Receiver:
         elevation = np.linspace(LOWEST_RAD, HIGHEST_RAD, ELEVATIONS)
         grid = np.meshgrid(azimuth, elevation, indexing="ij")
         return grid[0].ravel(), grid[1].ravel()
-
-    @cached_property
-    def quiet_matrix(self) -> ComplexSingle:
-        """Every other column of the delay matrix with a Hann taper: what is left of a path far from its delay is
-        little.
-        """
-        taper = np.hanning(len(self.rate) + 2)[1:-1]
-        taper = taper / np.sqrt(np.mean(taper**2))
-        return np.ascontiguousarray(self.delay_matrix[:, ::2] * taper[:, None], np.complex64)
 
     @cached_property
     def apart(self) -> bool:
@@ -194,7 +202,7 @@ class Motion:
     def probe(self) -> Probe:
         """What the compiled search looks at samples with."""
         r = self.receiver
-        return Probe(self.beams, r.delay_matrix, r.delays_m, *r.directions)
+        return Probe(self.beams, r.delay_matrix, r.grid, *r.directions)
 
     @cached_property
     def model(self) -> SteeringModel:

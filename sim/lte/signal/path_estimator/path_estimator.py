@@ -36,7 +36,7 @@ from cellslam.sim.lte.signal.path_estimator import thresholds
 from cellslam.sim.lte.signal.path_estimator.acquire_kernel import Trials, add_paths, judged
 from cellslam.sim.lte.signal.path_estimator.fit_kernel import Normal, climb
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
-from cellslam.sim.lte.signal.receiver import Motion, Receiver
+from cellslam.sim.lte.signal.receiver import ComplexSingle, Motion, Receiver
 
 
 @dataclass(frozen=True)
@@ -81,33 +81,33 @@ def estimate_paths(y: Complex, motion: Motion, start: Floats | None = None) -> E
     working: NDArray[np.bool_] = np.logical_and(np.isfinite(y).all(axis=1), y.any(axis=1))
     if not working.any():
         raise InputError("no array port delivered samples: all are zero or not finite")
-    y = motion.receiver.fitted.of(y)
-    link = _estimated(y, motion, working, start)
+    samples = motion.receiver.at_distances(np.where(working[:, None], y, 0.0))
+    link = _estimated(samples, motion, working, start)
     sound = np.logical_and(working, ~link.saturated())
     if not np.array_equal(sound, working):
-        link = _estimated(y, motion, sound, start)
+        link = _estimated(samples, motion, sound, start)
     return link.result()
 
 
-def _estimated(y: Complex, motion: Motion, working: NDArray[np.bool_], start: Floats | None) -> _Link:
-    weight = _port_weights(y, working, motion.receiver)
+def _estimated(samples: ComplexSingle, motion: Motion, working: NDArray[np.bool_], start: Floats | None) -> _Link:
+    weight = _port_weights(samples, working, motion.receiver)
     if not (weight == 1.0).all():
-        y = np.asarray(np.where(working[:, None], y, 0.0) * weight[:, None], np.complex128)
-        motion = motion.weighed(weight)
-    link = _Link(np.ascontiguousarray(y, np.complex128), motion)
+        samples, motion = samples * weight[:, None].astype(np.float32), motion.weighed(weight)
+    link = _Link(samples, motion)
     if start is not None and len(start):
         link.fit_jointly(start, thresholds.FINE_GAIN)
     link.search()
     return link
 
 
-def _port_weights(y: Complex, working: NDArray[np.bool_], receiver: Receiver) -> Floats:
+def _port_weights(samples: ComplexSingle, working: NDArray[np.bool_], receiver: Receiver) -> Floats:
     """Return weights (ports,) that make the disturbance alike: a port that faces an interferer counts less.
 
-    The disturbance of a port is the median over delays, whose resolved paths are few. Ports of one column and slant
-    face the same way: their mean is taken where they agree. Zero for ports out of work.
+    The disturbance of a port is the median over delays, whose resolved paths are few; its neighbours two steps away
+    make of each, nearly, what a Hann taper over the tones would, so that little is left of a path far from its delay.
+    Ports of one column and slant face the same way: their mean is taken where they agree. Zero for ports out of work.
     """
-    tapered = np.where(working[:, None], y, 0.0).astype(np.complex64) @ receiver.quiet_matrix
+    tapered = samples[:, 2:-2:2] + np.float32(0.5) * (samples[:, :-4:2] + samples[:, 4::2])
     energy = np.sort(tapered.real**2 + tapered.imag**2, axis=1)  # np.median takes ten times as long
     count = energy.shape[1]
     level = (0.5 * (energy[:, (count - 1) // 2] + energy[:, count // 2])).astype(np.float64)
@@ -115,7 +115,7 @@ def _port_weights(y: Complex, working: NDArray[np.bool_], receiver: Receiver) ->
         level = _agreeing(level, working, receiver.array.rings)
     usual = float(np.median(level[working]))
     even = (np.abs(np.log(np.maximum(level[working], 1e-300) / usual)) < thresholds.UNEVEN).all()
-    weight = np.ones(len(y)) if even else np.sqrt(usual / np.maximum(level, 0.1 * usual))
+    weight = np.ones(len(samples)) if even else np.sqrt(usual / np.maximum(level, 0.1 * usual))
     return np.where(working, weight, 0.0)
 
 
@@ -131,11 +131,11 @@ def _agreeing(level: Floats, working: NDArray[np.bool_], rings: int) -> Floats:
 class _Link:
     """Working state of one link and snapshot: the fit so far, the residual and its spectrum."""
 
-    def __init__(self, y: Complex, motion: Motion) -> None:
-        self.y, self.motion, self.receiver = y, motion, motion.receiver
-        self.residual = y.astype(np.complex64)
+    def __init__(self, samples: ComplexSingle, motion: Motion) -> None:
+        self.motion, self.receiver = motion, motion.receiver
         self.fit, self.fine = _NO_FIT, False
-        self.spectrum = Spectrum(y, motion)
+        self.spectrum = Spectrum(samples, motion)
+        self.residual = self.spectrum.residual
 
     def search(self) -> None:
         """Add paths, the strongest first, until nothing more stands out."""
@@ -174,13 +174,13 @@ class _Link:
         else:
             self.fit = _NO_FIT
             self.spectrum.leave_all()
-        self.residual = (self.y - self.spectrum.explained).astype(np.complex64)
+        self.residual = self.spectrum.residual
 
     def _climbed(self, start: Floats, least_gain: float) -> tuple[Floats, Normal]:
         """Return geometry (n, 3) and normal equations of the joint fit that starts at `start` (n, 3)."""
         start = np.ascontiguousarray(start, np.float64)
         least = least_gain * self.spectrum.noise
-        geometry, normal = climb(self.y, start, least, 0.0, self.receiver.demands.coarser, self.motion.model)
+        geometry, normal = climb(self.spectrum.samples, self.receiver.grid, start, least, 0.0, self.motion.model)
         return geometry, Normal(*normal)
 
     def unite(self) -> None:
@@ -201,14 +201,14 @@ class _Link:
 
     def saturated(self) -> NDArray[np.bool_]:
         """Return which ports (ports,) hold much that no path explains: a share of their power and far over the rest."""
-        left, power = (np.sum(x.real**2 + x.imag**2, axis=1) for x in (self.residual, self.y))
+        left, power = (np.sum(x.real**2 + x.imag**2, axis=1) for x in (self.residual, self.spectrum.samples))
         usual = np.median(left[power > 0.0])
         return np.array((left > thresholds.SATURATED_EXCESS * usual) & (left > thresholds.SATURATED_SHARE * power))
 
     def result(self) -> Estimates:
         """Return what was found, sorted by distance."""
         geometry, normal, level, covariance = self.fit
-        strength = np.sum(np.abs(self.spectrum.taken.on_ports) ** 2, axis=1) / len(self.y)
+        strength = np.sum(np.abs(self.spectrum.taken.on_ports) ** 2, axis=1) / self.receiver.array.ports
         order = np.argsort(geometry[:, 0], kind="stable")
         of_fitted = 10.0 * np.log10(np.maximum(strength / level, 1e-12))
         snr_db = of_fitted - 10.0 * np.log10(self.receiver.fitted.size)

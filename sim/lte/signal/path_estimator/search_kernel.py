@@ -12,19 +12,19 @@ import numpy as np
 
 from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.lte.signal.path_estimator import thresholds
-from cellslam.sim.lte.signal.path_estimator.fit_kernel import in_pairs, subtract_products
+from cellslam.sim.lte.signal.path_estimator.fit_kernel import MARGIN, DelayGrid, in_pairs, subtract_products
 from cellslam.sim.lte.statistical.detector_layout import DIFFUSE_SHARE, Array
 
 
 class Probe(NamedTuple):
-    """What samples are looked at with: two `beams` (2, K, P) a direction, of the ports that `ports_of` says, and unit
-    vectors `delays` (tones, D), of K directions and D distances in m: `azimuths`, `elevations` (K,) in rad, azimuth by
-    azimuth, `distances` (D,).
+    """What samples are looked at with: two `beams` (2, K, P) a direction, of the ports that `by_set` says, and unit
+    vectors `delays` (tones, D), of K directions, `azimuths`, `elevations` (K,) in rad, azimuth by azimuth, and the D
+    distances of the `grid`.
     """
 
     beams: Array
     delays: Array
-    distances: Array
+    grid: DelayGrid
     azimuths: Array
     elevations: Array
 
@@ -39,10 +39,9 @@ class Outputs(NamedTuple):
 
 
 class Footprint(NamedTuple):
-    """What n paths give the ports (n, ports), tones (n, tones), beams (2, n, K) and searched distances (n, D)."""
+    """What n paths give the ports (n, ports), beams (2, n, K) and searched distances (n, D)."""
 
     on_ports: Array
-    on_tones: Array
     on_beams: Array
     on_delays: Array
 
@@ -75,15 +74,15 @@ def footprint_of(on_ports: Array, on_tones: Array, probe: Probe) -> Footprint:
         for s in range(2):
             on_beams[s] = on_ports[:, s % apart :: apart].astype(np.complex64) @ probe.beams[s].T
         on_delays[:] = on_tones.astype(np.complex64) @ probe.delays
-    return Footprint(on_ports, on_tones, on_beams, on_delays)
+    return Footprint(on_ports, on_beams, on_delays)
 
 
 @part
 def both(one: Footprint, other: Footprint) -> Footprint:
     """Return the footprint of the paths of both."""
     return Footprint(
-        np.concatenate((one.on_ports, other.on_ports)), np.concatenate((one.on_tones, other.on_tones)),
-        np.concatenate((one.on_beams, other.on_beams), 1), np.concatenate((one.on_delays, other.on_delays)),
+        np.concatenate((one.on_ports, other.on_ports)), np.concatenate((one.on_beams, other.on_beams), 1),
+        np.concatenate((one.on_delays, other.on_delays)),
     )  # fmt: skip
 
 
@@ -187,7 +186,7 @@ def cell_of(geometry: Array, probe: Probe, spectrum: PowerSpectrum) -> tuple[int
     steps, low, high = spectrum.elevations - 1, probe.elevations[0], probe.elevations[spectrum.elevations - 1]
     rise = min(max(round((geometry[2] - low) / (high - low) * steps), 0), steps)
     column = _column(geometry[1], spectrum.trailing) % len(spectrum.trailing)
-    return column * spectrum.elevations + rise, min(max(_bin(geometry[0], probe), 0), len(probe.distances) - 1)
+    return column * spectrum.elevations + rise, min(max(_bin(geometry[0], probe), 0), len(probe.grid.distances) - 1)
 
 
 @part
@@ -198,7 +197,8 @@ def _column(azimuth: float, trailing: Array) -> int:
 
 @part
 def _bin(distance: float, probe: Probe) -> int:
-    nearest: int = round((distance - probe.distances[0]) / (probe.distances[1] - probe.distances[0]))
+    distances = probe.grid.distances
+    nearest: int = round((distance - distances[0]) / (distances[1] - distances[0]))
     return nearest
 
 
@@ -275,10 +275,10 @@ def strongest(spectrum: PowerSpectrum, coarse: float, blocked: Array) -> tuple[i
     """
     energy, elevations, peak = spectrum.energy, spectrum.elevations, spectrum.peak
     best, at, bin_at, level_at = np.float32(0.0), -1, -1, 0.0
-    (count, bins), highest = energy.shape, np.argmax(peak)
-    azimuths = count // elevations
+    count, bins = len(energy), len(peak) - 2 * MARGIN
+    azimuths, highest = count // elevations, np.argmax(peak[MARGIN : MARGIN + bins])
     for turned in range(bins):
-        d = (highest + turned) % bins
+        d = MARGIN + (highest + turned) % bins
         least = np.float32(coarse * spectrum.noise[d])
         if peak[d] <= best or peak[d] < least:
             continue
