@@ -52,11 +52,15 @@ def add_paths(
     cells that have been tried by then.
     """
     (cells, tried, failures), added, start = trials, 0, np.empty((1, 3))
+    coarse, at = thresholds.COARSE_SHARE * demands.threshold, 0
     search_kernel.write_all_energies(outputs, taken, spectrum)
+    promising, levels = search_kernel.standing_out(spectrum, coarse)
     while added < len(found) and failures < thresholds.MOST_FAILURES:
-        k, d, level = search_kernel.strongest(spectrum, thresholds.COARSE_SHARE * demands.threshold, cells[:tried])
-        if k < 0:
+        while at < len(promising) and search_kernel.is_beside(promising[at], cells[:tried], spectrum):
+            at += 1
+        if at == len(promising):
             break
+        (k, d), level = promising[at], levels[at]
         cells[tried, 0], cells[tried, 1] = k, d
         tried, failures = tried + 1, failures + 1
         start[0, 0], start[0, 1], start[0, 2] = probe.grid.distances[d], probe.azimuths[k], probe.elevations[k]
@@ -72,6 +76,7 @@ def add_paths(
             found[added], taken = geometry[0], search_kernel.both(taken, one)
             added, failures = added + 1, failures - 1
             search_kernel.write_all_energies(outputs, taken, spectrum)
+            (promising, levels), at = search_kernel.standing_out(spectrum, coarse), 0
     return added, Trials(cells, tried, failures)
 
 

@@ -26,7 +26,7 @@ class Spectrum:
         self.outputs = Outputs(beams.view(np.float32), samples.view(np.float32))
         count, bins = beams.shape[1:]
         self.power = PowerSpectrum(
-            energy=np.empty((count, bins), np.float32), peak=np.empty(bins, np.float32), port_energy=np.empty(bins),
+            energy=np.empty((count, bins), np.float32), port_energy=np.empty(bins),
             noise=np.empty(bins), trailing=np.empty((AZIMUTHS, bins), np.float32), stretch=self.receiver.stretch_bins,
             ports=int(np.count_nonzero(motion.factor)), elevations=ELEVATIONS,
         )  # fmt: skip
@@ -47,8 +47,7 @@ class Spectrum:
 
     def _take(self, taken: Footprint) -> None:
         self.taken = taken
-        search_kernel.write_noise(self.outputs, taken, self.power)
-        self.noise = float(np.median(self.power.noise))
+        self.noise = search_kernel.write_noise(self.outputs, taken, self.power)
 
     def evaluate(self) -> None:
         """Write all energies beside the paths that are taken out."""
