@@ -235,8 +235,8 @@ def _give_births(joint: Joint, drive: Drive, rows: Ints) -> Joint:
 def _update(joint: Joint, drive: Drive, rows: Ints, measured: NDArray[np.bool_]) -> None:
     """Take the `measured` (k, 3) components of measurements `rows` (k,) in, whose white errors have variances R.
 
-    H, residual and S are divided by the roots of R: S is 1 + H P H^T, whose eigenvalues are 1 or more, but for rounding,
-    which is as large as the largest of them is far. So much is added before S is factored, by Cholesky.
+    H, residual and S are divided by the roots of R: S is 1 + H P H^T, whose eigenvalues are 1 or more, but for what the
+    largest of them is rounded by. So much is added before S is factored, by Cholesky.
     """
     s, H = drive.sightings, _loads(joint, drive, rows, measured)
     root = np.sqrt(s.variance[rows][measured])

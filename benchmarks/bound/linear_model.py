@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.benchmarks.bound.products_kernel import Sparse
 from cellslam.benchmarks.bound.persisting_states import Seen, persisting_errors
+from cellslam.benchmarks.bound.products_kernel import Sparse
 from cellslam.sim.frames import held, integrate_pose, mean_velocity, pose_jacobians, wrap_angle
 from cellslam.sim.recording import Floats, Ints, OdometryModel, Recording, Sites, Truth
 from cellslam.slam.model.measurement_model import jacobians, predict
@@ -110,8 +110,8 @@ class Survey(NamedTuple):
 
 class States(NamedTuple):
     """All K states: `first` (K,) snapshot that meets an error that persists (NEVER: another state), `last` (K,) of all;
-    `kind` (K,): column of `decay` (T, 4), the factor of first-order Gauss-Markov states of unit variance from a snapshot
-    to the next (column 0: constants)."""
+    `kind` (K,): column of `decay` (T, 4), the factor of first-order Gauss-Markov states of unit variance from a
+    snapshot to the next (column 0: constants)."""
 
     first: Ints
     last: Ints

@@ -47,8 +47,8 @@ class Persisting:
     """The E errors that persist, and the loads on them of n views, `state` and `load` (n, 3, W), and of m measurements,
     `own_state` (m, 3) and `own_load` (3,): numbers of errors, -1: none.
 
-    `first`, `last` (E,): snapshots with the first and the last use; `kind` (E,): column of `decay` (T, 4), see `linear_model.States`;
-    `variance` (3,): the marginal variances of what persists.
+    `first`, `last` (E,): snapshots with the first and the last use; `kind` (E,): column of `decay` (T, 4), see
+    `linear_model.States`; `variance` (3,): the marginal variances of what persists.
     """
 
     state: Ints

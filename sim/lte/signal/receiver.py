@@ -29,6 +29,7 @@ LOWEST_RAD, HIGHEST_RAD = np.radians(-15.0), np.radians(60.0)
 # Pitch of the searched distances at the bandwidth of 100 resource blocks of LTE, which lengths here are given for.
 DELAY_PITCH_M, REFERENCE_BANDWIDTH_HZ = 7.5, 18e6
 WIDEST_LTE_HZ = 20e6
+TINY = np.float32(1e-30)
 STRETCH_BINS = 31  # of delay in LTE, over which noise is taken for constant
 
 
@@ -164,6 +165,11 @@ def phase_rate(tones_hz: Floats) -> Floats:
     return np.asarray(2.0 * np.pi * (tones_hz - tones_hz.mean()) / SPEED_OF_LIGHT_MPS, np.float64)
 
 
+def _energy(vectors: ComplexSingle) -> NDArray[np.float32]:
+    """Return the squared norms (..., 1) of vectors (..., P)."""
+    return np.asarray(np.sum(vectors.real**2 + vectors.imag**2, axis=-1, keepdims=True), np.float32)
+
+
 @dataclass(frozen=True)
 class Motion:
     """The receiver during one snapshot: it steers with the Doppler phase of its velocity (3,), and weighs its ports.
@@ -182,21 +188,20 @@ class Motion:
         return motion
 
     @cached_property
-    def turned(self) -> Complex:
+    def turned(self) -> ComplexSingle:
         """Steering vectors (2, K, P) of the searched directions, Doppler included."""
         r = self.receiver
         phase = np.outer(unit_vector(*r.directions) @ self.velocity_mps, r.doppler)
-        return np.asarray(r._steering * r._sets(np.exp(1j * phase)), np.complex128)
+        return np.asarray(r._steering * r._sets(np.exp(1j * phase)), np.complex64)
 
     @cached_property
     def beams(self) -> ComplexSingle:
         """Beams (2, K, P) of the search: orthonormal bases of what a direction's two polarisations can do."""
-        h, v = self.turned * self.receiver._sets(self.factor[None])
-        h = h / np.maximum(np.linalg.norm(h, axis=1, keepdims=True), 1e-30)
+        h, v = self.turned * self.receiver._sets(self.factor[None]).astype(np.complex64)
         if not self.receiver.apart:  # else the two belong to different ports, and are orthogonal as they are
-            v = v - np.sum(h.conj() * v, axis=1, keepdims=True) * h
-        v = v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-30)
-        return np.ascontiguousarray(np.stack([h, v]).conj(), np.complex64)
+            v = v - np.sum(h.conj() * v, axis=1, keepdims=True) / np.maximum(_energy(h), TINY) * h
+        both = np.stack([h, v])
+        return np.asarray(both.conj() / np.sqrt(np.maximum(_energy(both), TINY)), np.complex64)
 
     @cached_property
     def probe(self) -> Probe:

@@ -141,16 +141,17 @@ class SignalLevel:
             off, down = (paths.departure_rad[rows] - [self.cells.azimuth_rad[cell], 0.0]).T
             sector_db = sector_gain_db(off, down, float(self.cells.tilt_rad[cell]), peak_dbi=0.0)
             amplitude = 10.0 ** ((config.eirp_dbm + sector_db) / 20.0)
-            weighted = on_ports[int(self.links.port[link]) % 2] * amplitude
+            weights = on_ports[int(self.links.port[link]) % 2] * amplitude
             own = {int(self.combs[other]) for other in np.flatnonzero(self.links.cell == cell)}
             for comb, elements in total.items():
-                shift = np.exp(-2j * np.pi * comb * self.waveform.comb_step_hz * length / SPEED_OF_LIGHT_MPS)
-                shifted = (weighted * shift).astype(np.complex64)
+                shift = -2j * np.pi * comb * self.waveform.comb_step_hz / SPEED_OF_LIGHT_MPS
                 if comb == self.combs[link]:
+                    shifted = (weights * np.exp(shift * length)).astype(np.complex64)
                     normal = rng.standard_normal((*elements.shape, 2), np.float32)
                     sent = self.sent[link][slots]
                     symbol.add_pilots(elements, sums.of(shifted), sent, normal, config.evm * np.sqrt(0.5))
                 elif comb not in own and config.load > 0.0:
+                    shifted = (weights[:, ::together] * np.exp(shift * length[::together])).astype(np.complex64)
                     words = rng.integers(0, 65536, elements.shape, np.uint16)
                     share = float(whole / np.sqrt(self.cells.ports[cell]))
                     symbol.add_data(elements, sums.of_every(together, shifted), words, config.load, share)

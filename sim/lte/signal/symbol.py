@@ -40,9 +40,9 @@ class PathSums:
         return self._transformed(weights) if self._transforms else np.asarray(weights @ self._phasors, np.complex64)
 
     def of_every(self, step: int, weights: ComplexSingle) -> ComplexSingle:
-        """Return the same sum over every `step`-th path alone."""
+        """Return the same sum over every `step`-th path alone, of the weights of these."""
         some = self._phasors_of(self.length_m[::step]) if self._transforms else self._phasors[::step]
-        return np.asarray(weights[:, ::step] @ some, np.complex64)
+        return np.asarray(weights @ some, np.complex64)
 
     @cached_property
     def _phasors(self) -> ComplexSingle:

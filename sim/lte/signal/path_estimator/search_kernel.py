@@ -49,8 +49,9 @@ class Footprint(NamedTuple):
 class PowerSpectrum(NamedTuple):
     """Energies, as in the samples, over K directions (`elevations` to an azimuth) and D delays.
 
-    `energy` (K, D) of both beams of each direction; `port_energy` (D,) of all `ports` that work; `noise` (D,) per sample, taken for constant over `stretch` (odd) delays; `trailing` (azimuths,
-    D): energy of the paths in whose diffuse energy a cell lies.
+    `energy` (K, D) of both beams of each direction; `port_energy` (D,) of all `ports` that work; `noise` (D,) per
+    sample, taken for constant over `stretch` (odd) delays; `trailing` (azimuths, D): energy of the paths in whose
+    diffuse energy a cell lies.
     """
 
     energy: Array

@@ -30,8 +30,8 @@ class Spectrum:
             noise=np.empty(bins), trailing=np.empty((AZIMUTHS, bins), np.float32), stretch=self.receiver.stretch_bins,
             ports=int(np.count_nonzero(motion.factor)), elevations=ELEVATIONS,
         )  # fmt: skip
-        shapes = (0, self.receiver.array.ports), (0, len(self.receiver.rate))
-        self._nothing = search_kernel.footprint_of(*(np.empty(s, np.complex128) for s in shapes), motion.probe)
+        no_ports, no_tones = (np.empty((0, n), np.complex128) for n in (len(samples), len(self.receiver.rate)))
+        self._nothing = search_kernel.footprint_of(no_ports, no_tones, motion.probe)
         self.leave_all()
 
     def leave_all(self) -> None:
