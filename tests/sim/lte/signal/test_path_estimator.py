@@ -178,12 +178,12 @@ def test_a_strong_path_is_not_split() -> None:
 def test_calibration_error_makes_few_ghosts() -> None:
     rng = np.random.default_rng(8)
     ghosts = 0
-    for _ in range(20):
+    for _ in range(60):
         paths = draw(rng, np.array([20.0]))
         ghosts += (
             len(estimate_paths(channel(paths, array=miscalibrated(ARRAY, 5.0, 0.5, rng)) + noise(rng), AT_REST)) - 1
         )
-    assert ghosts <= 5
+    assert ghosts <= 15  # 0.11 a scene are usual
 
 
 @pytest.mark.parametrize(("component", "step"), [(0, 4.0), (1, np.radians(6.0)), (2, np.radians(6.0))])
