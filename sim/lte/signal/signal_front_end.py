@@ -100,7 +100,7 @@ class SignalLevel:
     def receive(
         self, paths: PathColumns, pose: Floats, velocity_mps: Floats, snapshot: int, slots: Ints,
         rng: np.random.Generator,
-    ) -> dict[int, Complex]:  # fmt: skip
+    ) -> dict[int, ComplexSingle]:  # fmt: skip
         """Return the elements (ports, tones), in roots of mW, on every comb of reference elements in use."""
         sites = len(self.offsets_m)
         scattered = self.surroundings.add(paths, pose[:3])
@@ -113,7 +113,7 @@ class SignalLevel:
             rows = slice(int(scattered.rows[site]), int(scattered.rows[site + 1]))
             if rows.stop > rows.start:
                 self._send(site, scattered, rows, pose, velocity_mps, snapshot, slots, total, rng)
-        return {comb: elements.astype(np.complex128) for comb, elements in total.items()}
+        return total
 
     def _send(
         self, site: int, paths: PathColumns, rows: slice, pose: Floats, velocity_mps: Floats, snapshot: int,
@@ -177,13 +177,13 @@ class SignalLevel:
         return geometry
 
     @cached_property
-    def sent(self) -> Complex:
+    def sent(self) -> ComplexSingle:
         """The reference values (L, slots, tones) of every link."""
         combs = self.combs.tolist()
         return np.array([
             [self.waveform.values(self.name(link), comb, slot) for slot in range(self.waveform.slots)]
             for link, comb in enumerate(combs)
-        ])  # fmt: skip
+        ], np.complex64)  # fmt: skip
 
     def slots(self, snapshot: int) -> Ints:
         """Return the slot of the frame in which each array port is sampled (ports,)."""
@@ -192,13 +192,13 @@ class SignalLevel:
             (first + np.rint(self.receiver.times_s / slot_s).astype(np.int64)) % self.waveform.slots, np.int64
         )
 
-    def samples(self, link: int, received: dict[int, Complex], slots: Ints) -> Complex:
+    def samples(self, link: int, received: dict[int, ComplexSingle], slots: Ints) -> ComplexSingle:
         """Return a link's descrambled samples (ports, tones), colliding cells cancelled, delays counted from its site's
         synchronisation.
         """
         site, comb = int(self.links.site[link]), int(self.combs[link])
-        y: Complex = received[comb] * self.sent[link][slots].conj()
-        y = y * np.exp(1j * phase_rate(self.waveform.tones_hz) * self.sync_m[site])
+        later = np.exp(1j * phase_rate(self.waveform.tones_hz) * self.sync_m[site]).astype(np.complex64)
+        y = received[comb] * (self.sent[link].conj() * later)[slots]
         for other in np.flatnonzero(self.combs == comb):
             if other != link:
                 apart = float(self.sync_m[self.links.site[other]] - self.sync_m[site])

@@ -131,7 +131,5 @@ def add_data(total: Array, response: Array, words: Array, load: float, amplitude
     for m in range(total.shape[0]):
         for f in range(total.shape[1]):
             word = words[m, f]
-            if (word >> 2) < limit:
-                real = size if word & 1 else -size
-                imaginary = size if word & 2 else -size
-                total[m, f] += response[m, f] * complex(real, imaginary)
+            own = size if (word >> 2) < limit else 0.0
+            total[m, f] += response[m, f] * complex(own if word & 1 else -own, own if word & 2 else -own)

@@ -26,8 +26,8 @@ _RIDGE = 1e-3
 
 
 def cancel(
-    y: Complex, waveform: Waveform, own: PortName, other: PortName, comb: int, slots: Ints, apart_m: float = 0.0
-) -> Complex:
+    y: ComplexSingle, waveform: Waveform, own: PortName, other: PortName, comb: int, slots: Ints, apart_m: float = 0.0
+) -> ComplexSingle:
     """Return `y` (ports, tones), descrambled samples of port `own`, without what `other` on the same comb adds.
 
     `slots` (ports,): slot of the frame in which each array port is sampled; `apart_m`: by how many m later the
@@ -40,7 +40,7 @@ def cancel(
     by_slot = np.zeros((len(met), count.max(), y.shape[1]), np.complex64)
     by_slot[of, within] = y
     fit, back = _operators(waveform, own, other, comb, tuple(met.tolist()), apart_m)
-    return np.asarray(y - (by_slot @ fit @ back)[of, within], np.complex128)
+    return y - (by_slot @ fit @ back)[of, within]
 
 
 @lru_cache(maxsize=64)
