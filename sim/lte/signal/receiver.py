@@ -14,7 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
-from cellslam.sim.lte.array import AntennaArray, CircularArray, Complex, Floats, Steering, array_at, switching_times_s
+from cellslam.sim.lte.array import (
+    AntennaArray,
+    CircularArray,
+    Complex,
+    ComplexSingle,
+    Floats,
+    Steering,
+    array_at,
+    switching_times_s,
+)
 from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.signal.path_estimator.acquire_kernel import Demands
 from cellslam.sim.lte.signal.path_estimator.fit_kernel import DEGREE, MARGIN, STENCIL, DelayGrid
@@ -23,7 +32,6 @@ from cellslam.sim.lte.signal.tone_reduction import ToneReduction, reduction_of
 from cellslam.sim.lte.steering_kernel import SteeringModel, steer
 from cellslam.sim.waveform.waveform import Waveform
 
-ComplexSingle = NDArray[np.complex64]
 AZIMUTHS, ELEVATIONS = 28, 7
 LOWEST_RAD, HIGHEST_RAD = np.radians(-15.0), np.radians(60.0)
 # Pitch of the searched distances at the bandwidth of 100 resource blocks of LTE, which lengths here are given for.
@@ -107,7 +115,7 @@ class Receiver:
         matrix = np.exp(1j * np.outer(self.rate, self.delays_m)) / np.sqrt(len(self.rate))
         return np.ascontiguousarray(matrix, np.complex64)
 
-    def at_distances(self, y: Complex) -> ComplexSingle:
+    def at_distances(self, y: Complex | ComplexSingle) -> ComplexSingle:
         """Return samples (ports, tones), those received, correlated with the tones of the searched distances (ports,
         D)."""
         return np.asarray(self.fitted.of(y).astype(np.complex64) @ self.delay_matrix, np.complex64)

@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
-from cellslam.sim.lte.array import CircularArray, Complex, PathSet, array_at, miscalibrated
+from cellslam.sim.lte.array import CircularArray, Complex, ComplexSingle, PathSet, array_at, miscalibrated
 from cellslam.sim.lte.links import Cells, link_table, slant
 from cellslam.sim.lte.persisting_errors import floors
 from cellslam.sim.lte.radio_config import RadioConfig
@@ -25,7 +25,7 @@ from cellslam.sim.lte.signal import symbol
 from cellslam.sim.lte.signal.channel import SCATTERERS, Surroundings, arriving_paths
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
-from cellslam.sim.lte.signal.receiver import ComplexSingle, Motion, Receiver, phase_rate, receiver_of
+from cellslam.sim.lte.signal.receiver import Motion, Receiver, phase_rate, receiver_of
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.lte.statistical.measurement_kernel import Fields, write_attitude, write_persisting
@@ -198,7 +198,7 @@ class SignalLevel:
         """
         site, comb = int(self.links.site[link]), int(self.combs[link])
         later = np.exp(1j * phase_rate(self.waveform.tones_hz) * self.sync_m[site]).astype(np.complex64)
-        y = received[comb] * (self.sent[link].conj() * later)[slots]
+        y: ComplexSingle = received[comb] * (self.sent[link].conj() * later)[slots]
         for other in np.flatnonzero(self.combs == comb):
             if other != link:
                 apart = float(self.sync_m[self.links.site[other]] - self.sync_m[site])

@@ -14,8 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.array import Complex
-from cellslam.sim.lte.signal.receiver import ComplexSingle
+from cellslam.sim.lte.array import Complex, ComplexSingle
 from cellslam.sim.recording import Ints
 from cellslam.sim.waveform.waveform import PortName, Waveform
 

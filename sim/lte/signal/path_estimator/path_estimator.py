@@ -31,12 +31,12 @@ from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.lte.array import CircularArray, Complex, Floats
+from cellslam.sim.lte.array import CircularArray, Complex, ComplexSingle, Floats
 from cellslam.sim.lte.signal.path_estimator import thresholds
 from cellslam.sim.lte.signal.path_estimator.acquire_kernel import Trials, add_paths, judged
 from cellslam.sim.lte.signal.path_estimator.fit_kernel import Normal, climb
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
-from cellslam.sim.lte.signal.receiver import ComplexSingle, Motion, Receiver
+from cellslam.sim.lte.signal.receiver import Motion, Receiver
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ _NO_NORMAL = Normal(0.0, np.empty((0, 2), np.complex128), np.empty(0), np.empty(
 _NO_FIT = Fit(np.empty((0, 3)), _NO_NORMAL, np.empty(0), np.empty((0, 3, 3)))
 
 
-def estimate_paths(y: Complex, motion: Motion, start: Floats | None = None) -> Estimates:
+def estimate_paths(y: Complex | ComplexSingle, motion: Motion, start: Floats | None = None) -> Estimates:
     """Return the paths in a link's samples (ports, tones); `start` (n, 3) in m, rad, rad: to begin with (tracking).
 
     Ports that deliver nothing, or nothing finite, are left out; so are saturated ones, whose samples the paths of the

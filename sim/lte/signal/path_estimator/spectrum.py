@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from cellslam.sim.lte.array import ComplexSingle
 from cellslam.sim.lte.signal.path_estimator import search_kernel
 from cellslam.sim.lte.signal.path_estimator.fit_kernel import Normal, factors
 from cellslam.sim.lte.signal.path_estimator.search_kernel import Footprint, Outputs, PowerSpectrum
-from cellslam.sim.lte.signal.receiver import AZIMUTHS, ELEVATIONS, ComplexSingle, Motion
+from cellslam.sim.lte.signal.receiver import AZIMUTHS, ELEVATIONS, Motion
 from cellslam.sim.recording import Floats
 
 
