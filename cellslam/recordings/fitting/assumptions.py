@@ -84,7 +84,7 @@ def _with(
     """Return the requests with the options that were learnt."""
     tables = {r.name: learnt.table(type(r.options) if r.options else None) for r in requests}
     merged = {name: {**origin.options.get(name, {}), **table} for name, table in tables.items()}
-    return _requests({**origin.options, **merged}, [r.name for r in requests], overrides, limit_s)
+    return _requests({**origin.options, **merged}, [r.target for r in requests], overrides, limit_s)
 
 
 def _requests(

@@ -48,7 +48,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (place / "breaks.py").write_text(PLUGIN)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "path", [*sys.path, str(place)])
-        tasks.request_of.cache_clear()
+        tasks._request_of.cache_clear()
         line = ["sweep", "tiny", *SHORT, "--sweep", "radio.load=0.1,1", "--sweep", f"{PARTICLES}=10,40"]
         for name in ("fastslam", "dead-reckoning", "breaks:Breaks"):
             line += ["--estimator", name]
