@@ -74,4 +74,6 @@ def _panel(axes: Axes, error: Floats, level: Floats, edges: Floats) -> None:
     }  # fmt: skip
     for name, share in regions(error, level, ALERT_LIMIT_M).items():
         x, y, side, end = places[name]
-        axes.text(x, y, f"{name.rpartition(', ')[2]}\n{100 * share:.3g} %", fontsize=6, ha=side, va=end)
+        text = f"{name.rpartition(', ')[2]}\n{100 * share:.3g} %"
+        behind = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1}
+        axes.text(x, y, text, fontsize=6, ha=side, va=end, bbox=behind)
