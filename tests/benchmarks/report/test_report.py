@@ -69,7 +69,7 @@ def test_summary_and_curves_hold_the_medians(folder: Path, said: dict[str, Any])
     lines = {(line["settings"][0], line["label"]): line for line in said["summary"]["lines"]}
     assert len(lines) == 2 * 4
     for (loaded, label), line in lines.items():
-        if label == "breaks:Breaks":
+        if label == "breaks":
             assert (line["ok"], line["all"], set(line["cells"])) == (0, 6, {None})
             continue
         own = ok[(ok["radio.load"] == loaded) & (ok["estimator"] == label.partition(",")[0])]
@@ -83,6 +83,7 @@ def test_summary_and_curves_hold_the_medians(folder: Path, said: dict[str, Any])
     significant_pairs = [text.partition(":") for text in said["ranks"]["significant_pairs"]]
     assert [where for where, *_ in significant_pairs] == ["radio.load = 0.1", "radio.load = 1", "overall"]
     assert all(" of 6 pairs" in text for *_, text in significant_pairs)
+    assert said["integrity"].startswith("data:image/svg")
     curves = {curve["key"]: curve["lines"] for curve in said["curves"]}
     assert set(curves) == {"radio.load", PARTICLES}
     along = {line["name"]: line["metrics"].get("position_rmse_m", [[]])[0] for line in curves[PARTICLES]}
@@ -139,7 +140,7 @@ def test_sections_show_what_was_estimated(folder: Path, said: dict[str, Any]) ->
     assert len(mine["offset_error"]) == len(mine["offset_std"]) == 2 and len(mine["nees"]) == steps
     assert len(mine["vts"][0]) == len(mine["first"]) > 0
     assert 0 <= min(mine["first"]) <= max(mine["first"]) < steps
-    failed = next(row for row in trial["rows"] if row["label"] == "breaks:Breaks")
+    failed = next(row for row in trial["rows"] if row["label"] == "breaks")
     assert failed["status"] == "failed" and said["failed"]["count"] == 12
     assert "not</b> today" in said["failed"]["rows"][0]["error"]
     assert said["provenance"]["runs"][0]["command"].startswith("cellslam sweep tiny")
