@@ -102,7 +102,7 @@ def test_replay_and_inspect_say_it(
     both = ["--estimator", "lost:Lost", "--estimator", "ekf-slam"]
     assert cli.main(["replay", "a.h5", *both, "--no-figures"]) == 0
     printed = capsys.readouterr().err
-    assert "lost:Lost departs from the odometry by" in printed and "ekf-slam departs" not in printed
+    assert "lost departs from the odometry by" in printed and "ekf-slam departs" not in printed
     assert cli.main(["inspect", "a.h5", *both, "--no-figure", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["estimators"]
     assert found["ekf-slam"] == [] and len(found["lost:Lost"]) == 2
