@@ -105,4 +105,4 @@ def test_replay_and_inspect_say_it(
     assert "lost departs from the odometry by" in printed and "ekf-slam departs" not in printed
     assert cli.main(["inspect", "a.h5", *both, "--no-figure", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["estimators"]
-    assert found["ekf-slam"] == [] and len(found["lost:Lost"]) == 2
+    assert found["ekf-slam"] == [] and len(found["lost"]) == 2
