@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellslam.recordings.fitting.fit_persisting import NAMES, Persisting, in_unit, persisting, reach
-from cellslam.recordings.fitting.fit_tracks import QUANTITIES, Tracks, robust_std, tracks_of
+from cellslam.recordings.fitting.fit_tracks import QUANTITIES, Tracks, polled_share, robust_std, tracks_of
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.progress import Progress, silent
@@ -101,7 +101,7 @@ def fit(recording: Recording, progress: Progress = silent) -> Fitted:
         persisting=persisting(recording, tracks, white),
         range_m=range_m if range_known else None,
         detection_probability=detection,
-        clutter_density=_clutter(recording, tracks),
+        clutter_density=polled_share(recording) * _clutter(recording, tracks),
         birth_ratio=float(np.clip(count / (count + (tracks.track < 0).sum()), *BIRTH_RATIO)),
         visible_s=visible_s,
     )
@@ -160,7 +160,7 @@ def _detection(r: Recording, tracks: Tracks) -> tuple[float, float]:
 
 
 def _clutter(r: Recording, tracks: Tracks) -> float:
-    """Return rows without a track per link and snapshot and m rad rad (over the middle 90 % of their distances)."""
+    """Return rows without a track per link, epoch and m rad rad (over the middle 90 % of their distances)."""
     m = r.measurements
     loose = np.flatnonzero(tracks.track < 0)
     seen = len(np.unique((m.snapshot * max(len(r.links), 1) + m.link)[: tracks.rows]))
