@@ -8,6 +8,8 @@ measured was never used; each measurement z of a link is scored by the logarithm
 x, P being pose, VTs and what they share, V confirmed VTs of the link, R all errors of one measurement, and u(z) how
 measurements lie over the whole recording, the same whatever the filter assumes. The score of a block is the mean over
 its snapshots, of the mean over their measurements, in nats.
+Blocks of 1, 2 and 4 parts of the drive, in turn, are some seconds long, and some minutes in a long drive. Two filters
+are compared by the differences block by block.
 
 Source: Gneiting and Raftery, "Strictly proper scoring rules, prediction, and estimation", Journal of the American
 Statistical Association 102, 2007, section 4 (logarithmic score).
@@ -16,10 +18,11 @@ Statistical Association 102, 2007, section 4 (logarithmic score).
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.special import stdtrit
 
 from cellslam.recordings.fitting.fit_tracks import robust_std
 from cellslam.sim.compiling import njit
@@ -36,9 +39,40 @@ from cellslam.slam.measurements.fusion import white
 from cellslam.slam.model.field_kernel import MOST_BELLS
 from cellslam.slam.model.matrices_kernel import Vec3
 
+CHANCE, LEAST_BLOCKS = 0.01, 5
 OTHER = 0.1  # share of measurements that are of no VT that the filter knows
-LEAST_BLOCK_S, BLOCKS, SCORED = 5.0, 60, 12  # a block's length, how many at most, and snapshots of each that count
+# Lengths of blocks in turn, how many turns a drive has at least and at most, and how long one is in between, s.
+LENGTHS, LEAST_TURNS, MOST_TURNS, TURN_S = (1.0, 2.0, 4.0), 8, 20, 35.0
+SCORED = 12  # snapshots of a block that count
 WIDTHS = np.array([1.0, 2.0 * np.pi, 0.3])  # least spread of what is measured, m and rad
+
+
+@dataclass(frozen=True)
+class Worth:
+    """By how many nats a measurement of `blocks` is predicted better by one filter than by another, on average, and
+    the standard deviation of that `mean`."""
+
+    mean: float
+    std: float
+    blocks: int
+
+    @property
+    def sure(self) -> bool:
+        """Whether it is better, and not by chance: Student's t test of paired differences, one-sided, of 1 %."""
+        return self.blocks >= LEAST_BLOCKS and self.mean > self.std * float(stdtrit(self.blocks - 1, 1.0 - CHANCE))
+
+    def __str__(self) -> str:
+        if self.blocks < LEAST_BLOCKS:
+            return "too few measurements to tell"
+        return f"worth {self.mean:.2g} +- {self.std:.2g} nats a measurement that was not used, by {self.blocks} parts"
+
+
+def compared(default: Floats, other: Floats) -> Worth:
+    """Return how much better the scores (B,) of another filter are than those of the default."""
+    gain = (other - default)[np.isfinite(other - default)]
+    if len(gain) < LEAST_BLOCKS:
+        return Worth(0.0, np.inf, len(gain))
+    return Worth(float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(len(gain))), len(gain))
 
 
 def scores(recording: Recording, sheets: Sheets) -> Floats:
@@ -59,8 +93,10 @@ def scores(recording: Recording, sheets: Sheets) -> Floats:
 
 def blocks_of(time_s: Floats) -> Ints:
     """Return at which snapshots the blocks begin, and the number of snapshots."""
-    length = max(LEAST_BLOCK_S, float(time_s[-1] - time_s[0]) / BLOCKS)
-    edges = np.arange(time_s[0], time_s[-1], length)
+    lasts = float(time_s[-1] - time_s[0])
+    turns = int(np.clip(lasts / TURN_S, LEAST_TURNS, MOST_TURNS))
+    share = np.cumsum(np.tile(LENGTHS, turns)) / (turns * sum(LENGTHS))
+    edges = time_s[0] + lasts * np.append(0.0, share[:-1])
     return np.append(np.unique(np.searchsorted(time_s, edges)), len(time_s))
 
 
@@ -84,6 +120,15 @@ class Spread:
         log[:, 1] = np.where(np.isfinite(z[:, 1]), -np.log(WIDTHS[1]), np.nan)
         return np.asarray(np.nansum(log, axis=1))
 
+    def log_score(self, snapshot: Snapshot) -> float:
+        """Return the mean log-density of a snapshot's measurements."""
+        return float(np.log(OTHER) + self.log_density(snapshot.link, columns(snapshot)).mean())
+
+
+def columns(snapshot: Snapshot) -> Floats:
+    """Return the measurements (m, 3) of a snapshot in m and rad, NaN where not measured."""
+    return np.column_stack([snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad])
+
 
 def _block(estimator: EkfSlam, steps: list[Step], spread: Spread) -> float:
     """Return the score of the snapshots of a block, which a copy of the filter goes through by odometry alone."""
@@ -91,24 +136,22 @@ def _block(estimator: EkfSlam, steps: list[Step], spread: Spread) -> float:
     if not heard:
         return float("nan")
     scored = {heard[i] for i in np.linspace(0, len(heard) - 1, min(SCORED, len(heard))).astype(int)}
+    if estimator._joint is None:
+        return float(np.mean([spread.log_score(steps[i][2]) for i in scored]))
     blind, found = copy.deepcopy(estimator), list[float]()
     mixture = blind._joint
-    if mixture is not None:
-        mixture.arrays.links[:] = 0  # it goes by its odometry
+    assert mixture is not None
+    mixture.arrays.links[:] = 0  # it goes by its odometry
     for i, (dt_s, odometry, snapshot) in enumerate(steps[: max(scored) + 1]):
-        if mixture is not None:
-            blind.step(dt_s, odometry, snapshot)
+        blind.step(dt_s, odometry, snapshot)
         if i in scored:
             found.append(_log_score(blind, mixture, snapshot, spread))
     return float(np.mean(found))
 
 
-def _log_score(filter_: EkfSlam, mixture: Mixture | None, snapshot: Snapshot, spread: Spread) -> float:
+def _log_score(filter_: EkfSlam, mixture: Mixture, snapshot: Snapshot, spread: Spread) -> float:
     """Return the mean log-density of a snapshot's measurements, where `mixture` of a filter is."""
-    z = np.column_stack([snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad])
-    log = np.log(OTHER) + spread.log_density(snapshot.link, z)
-    if mixture is None:
-        return float(log.mean())
+    z, log = columns(snapshot), np.log(OTHER) + spread.log_density(snapshot.link, columns(snapshot))
     setup, options = filter_._setup, filter_._fusion.options
     link, h, spread_of = expected(mixture.likeliest, setup.links.site, options.confirm_hits, sight())
     group = filter_._fusion._group[snapshot.link]
