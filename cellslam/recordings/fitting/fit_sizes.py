@@ -37,7 +37,7 @@ from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.sizes import Sheets, Sizes, keys_of, stepped
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
-PASSES, WHOLE = 8, 2  # passes at most; so many take whole steps, the others half of them
+PASSES, WHOLE = 5, 2  # passes at most; so many take whole steps, the others half of them
 FITS = 2.0  # mean square of the slopes, in their deviations, from which on sizes are as good as right
 NOTABLE = 1.25  # factor by which a size must have changed to be reported
 LEAST_SURE = 0.5  # relative deviation of a size beyond which the size is not reported
@@ -78,19 +78,22 @@ def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Pro
     """
     sheet = recording.odometry_model
     default = Learnt(dict(unmodelled(recording) if assumed is None else assumed), sheet, {}, None)
-    with progress("learning the sizes of errors", PASSES + 2) as advance:
+    with progress("learning the sizes of errors", PASSES + 3) as advance:
         fitted = _fitted(recording, assumed, advance)
         if fitted is None:
             return default
-        worth = compared(*(_scores(recording, one, advance) for one in (default, fitted)))
-    return replace(fitted if worth.sure else default, worth=worth)
-
-
-def _scores(recording: Recording, learnt: Learnt, advance: Callable[[int], None]) -> Floats:
-    """Return how well what was learnt predicts each block of a drive, in nats."""
-    out = scores(recording, Sheets(EkfSlamOptions(**learnt.options), learnt.odometry_model))
-    advance(1)
-    return out
+        # What is learnt of the odometry is taken beside what is learnt of measurements, or not.
+        changes = {name: change for name, change in fitted.changes.items() if name not in COMPONENTS}
+        rivals = default, replace(fitted, odometry_model=sheet, changes=changes), fitted
+        options, found = [EkfSlamOptions(**one.options) for one in rivals], list[Floats]()
+        for one, own in zip(rivals, options, strict=True):
+            found.append(scores(recording, Sheets(own, one.odometry_model), options))
+            advance(1)
+    taken = 0
+    for i in range(1, len(rivals)):
+        if all(compared(found[other], found[i]).sure for other in (0, taken)):
+            taken = i
+    return replace(rivals[taken], worth=compared(found[0], found[taken or 1]))
 
 
 def _fitted(recording: Recording, assumed: Mapping[str, Any] | None, advance: Callable[[int], None]) -> Learnt | None:

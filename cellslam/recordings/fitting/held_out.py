@@ -18,6 +18,7 @@ Statistical Association 102, 2007, section 4 (logarithmic score).
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -36,6 +37,7 @@ from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, geomet
 from cellslam.slam.joint.snapshot.update_kernel import covariance
 from cellslam.slam.joint.state.layout import HITS, LINK, TOUCHED, Filter
 from cellslam.slam.measurements.fusion import white
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
 from cellslam.slam.model.field_kernel import MOST_BELLS
 from cellslam.slam.model.matrices_kernel import Vec3
 
@@ -75,9 +77,12 @@ def compared(default: Floats, other: Floats) -> Worth:
     return Worth(float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(len(gain))), len(gain))
 
 
-def scores(recording: Recording, sheets: Sheets) -> Floats:
-    """Return the score (B,), in nats, of each block of a drive by a filter that assumes `sheets`."""
-    spread = Spread(recording)
+def scores(recording: Recording, sheets: Sheets, rivals: Sequence[MeasurementOptions]) -> Floats:
+    """Return the score (B,), in nats, of each block of a drive by a filter that assumes `sheets`.
+
+    `rivals`: all options that are compared; errors of one measurement have the largest variance of any of them.
+    """
+    spread = Spread(recording, rivals)
     recording = replace(recording, odometry_model=sheets.odometry)
     estimator, steps = EkfSlam(sheets.options), steps_of(recording)
     estimator.start(setup_of(recording), np.random.default_rng(0))
@@ -103,7 +108,8 @@ def blocks_of(time_s: Floats) -> Ints:
 class Spread:
     """How the measurements of each link lie over the whole recording: independent in distance, azimuth, elevation."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, rivals: Sequence[MeasurementOptions]) -> None:
+        self.rivals = rivals
         m = recording.measurements
         z = np.column_stack([m.distance_m, m.azimuth_rad, m.elevation_rad])
         self.middle, self.width = np.zeros((len(recording.links), 3)), np.ones((len(recording.links), 3))
@@ -155,7 +161,7 @@ def _log_score(filter_: EkfSlam, mixture: Mixture, snapshot: Snapshot, spread: S
     setup, options = filter_._setup, filter_._fusion.options
     link, h, spread_of = expected(mixture.likeliest, setup.links.site, options.confirm_hits, sight())
     group = filter_._fusion._group[snapshot.link]
-    noise = white(snapshot, options) + np.sum(options.persisting, axis=0)
+    noise = np.max([white(snapshot, one) + np.sum(one.persisting, axis=0) for one in spread.rivals], axis=0)
     for i in range(len(z)):
         own = link == group[i]
         if own.any():
