@@ -165,12 +165,12 @@ def _log_score(filter_: EkfSlam, mixture: Mixture, snapshot: Snapshot, spread: S
     for i in range(len(z)):
         own = link == group[i]
         if own.any():
-            known = np.log1p(-OTHER) - np.log(own.sum()) + _log_densities(z[i], h[own], spread_of[own], noise[i])
+            known = np.log1p(-OTHER) - np.log(own.sum()) + log_densities(z[i], h[own], spread_of[own], noise[i])
             log[i] = np.logaddexp.reduce(np.append(known, log[i]))
     return float(log.mean())
 
 
-def _log_densities(z: Floats, h: Floats, p: Floats, noise: Floats) -> Floats:
+def log_densities(z: Floats, h: Floats, p: Floats, noise: Floats) -> Floats:
     """Return log N(z; h, p + diag noise) (n,) of a measurement z (3,), NaN where not measured, at VTs that are expected
     at h (n, 3) with covariances p (n, 3, 3)."""
     there = np.isfinite(z)
