@@ -6,8 +6,10 @@ measured was never used; each measurement z of a link is scored by the logarithm
     q(z) = e u(z) + (1 - e) / V sum_v N(z; h_v(x), H_v P H_v^T + R),    e = OTHER
 
 x, P being pose, VTs and what they share, V confirmed VTs of the link, R all errors of one measurement, and u(z) how
-measurements lie over the whole recording, the same whatever the filter assumes. The score of a block is the mean over
-its snapshots, of the mean over their measurements, in nats.
+measurements lie over the whole recording. R and u are the same for all filters that are compared, R the widest that any
+of them assumes: what counts is where pose and map are. The score of a block is the mean over its snapshots of the mean
+over their measurements, in nats.
+
 Blocks of 1, 2 and 4 parts of the drive, in turn, are some seconds long, and some minutes in a long drive. Two filters
 are compared by the differences block by block.
 
@@ -46,7 +48,7 @@ OTHER = 0.1  # share of measurements that are of no VT that the filter knows
 # Lengths of blocks in turn, how many turns a drive has at least and at most, and how long one is in between, s.
 LENGTHS, LEAST_TURNS, MOST_TURNS, TURN_S = (1.0, 2.0, 4.0), 8, 20, 35.0
 SCORED = 12  # snapshots of a block that count
-WIDTHS = np.array([1.0, 2.0 * np.pi, 0.3])  # least spread of what is measured, m and rad
+WIDTHS = np.array([1.0, 2.0 * np.pi, 0.3])  # spread of distances and elevations at least, of azimuths, m and rad
 
 
 @dataclass(frozen=True)
