@@ -6,8 +6,8 @@ measured was never used; each measurement z of a link is scored by the logarithm
     q(z) = e u(z) + (1 - e) / V sum_v N(z; h_v(x), H_v P H_v^T + R),    e = OTHER
 
 x, P being pose, VTs and what they share, V confirmed VTs of the link, R all errors of one measurement, and u(z) how
-measurements lie over the whole recording. R and u are the same for all filters that are compared, R the widest that any
-of them assumes: what counts is where pose and map are. The score of a block is the mean over its snapshots of the mean
+measurements lie over the whole recording. R and u are the same for all filters that are compared, R the geometric mean
+of what they assume: what counts is where pose and map are. The score of a block is the mean over its snapshots of the mean
 over their measurements, in nats.
 
 Blocks of 1, 2 and 4 parts of the drive, in turn, are some seconds long, and some minutes in a long drive. Two filters
@@ -40,6 +40,7 @@ from cellslam.slam.joint.snapshot.update_kernel import covariance
 from cellslam.slam.joint.state.layout import HITS, LINK, TOUCHED, Filter
 from cellslam.slam.measurements.fusion import white
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
+from cellslam.slam.measurements.readings import LEAST
 from cellslam.slam.model.field_kernel import MOST_BELLS
 from cellslam.slam.model.matrices_kernel import Vec3
 
@@ -82,7 +83,8 @@ def compared(default: Floats, other: Floats) -> Worth:
 def scores(recording: Recording, sheets: Sheets, rivals: Sequence[MeasurementOptions]) -> Floats:
     """Return the score (B,), in nats, of each block of a drive by a filter that assumes `sheets`.
 
-    `rivals`: all options that are compared; errors of one measurement have the largest variance of any of them.
+    `rivals`: all options that are compared; errors of one measurement have the geometric mean of their
+    variances.
     """
     spread = Spread(recording, rivals)
     recording = replace(recording, odometry_model=sheets.odometry)
@@ -163,7 +165,8 @@ def _log_score(filter_: EkfSlam, mixture: Mixture, snapshot: Snapshot, spread: S
     setup, options = filter_._setup, filter_._fusion.options
     link, h, spread_of = expected(mixture.likeliest, setup.links.site, options.confirm_hits, sight())
     group = filter_._fusion._group[snapshot.link]
-    noise = np.max([white(snapshot, one) + np.sum(one.persisting, axis=0) for one in spread.rivals], axis=0)
+    errors = [np.log(white(snapshot, one) + np.sum(one.persisting, axis=0) + LEAST) for one in spread.rivals]
+    noise = np.exp(np.mean(errors, axis=0))
     for i in range(len(z)):
         own = link == group[i]
         if own.any():
