@@ -7,8 +7,8 @@ measured was never used; each measurement z of a link is scored by the logarithm
 
 x, P being pose, VTs and what they share, V confirmed VTs of the link, R all errors of one measurement, and u(z) how
 measurements lie over the whole recording. R and u are the same for all filters that are compared, R the geometric mean
-of what they assume: what counts is where pose and map are. The score of a block is the mean over its snapshots of the mean
-over their measurements, in nats.
+of what they assume: what counts is where pose and map are. The score of a block is the mean over its snapshots of the
+mean over their measurements, in nats.
 
 Blocks of 1, 2 and 4 parts of the drive, in turn, are some seconds long, and some minutes in a long drive. Two filters
 are compared by the differences block by block.
