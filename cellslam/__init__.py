@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from cellslam.benchmarks.sweeps.rows import results
     from cellslam.benchmarks.tables.summaries import comparison, summary
     from cellslam.python_api import SweepView, TrialView, replay, run, sweep, trial
+    from cellslam.recordings.inspection.inspection import plot
     from cellslam.scenarios.loading import load, preset_names
     from cellslam.scenarios.scenario import Scenario
     from cellslam.scenarios.simulation import simulate
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "benchmarks.sweeps.rows": ("results",),
     "benchmarks.tables.summaries": ("comparison", "summary"),
+    "recordings.inspection.inspection": ("plot",),
     "python_api": ("SweepView", "TrialView", "replay", "run", "sweep", "trial"),
     "scenarios.loading": ("load", "preset_names"),
     "scenarios.scenario": ("Scenario",),
@@ -56,7 +58,7 @@ _HOMES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [
     "Calibration", "Estimate", "Estimator", "InputError", "Recording", "Scenario", "Setup", "Snapshot", "SweepView",
     "TrialView", "VtEstimate", "VtMap", "WallEstimate", "__version__", "comparison", "estimator_names", "join_maps",
-    "load", "preset_names", "replay", "results", "run", "simulate", "summary", "sweep", "trace", "trial",
+    "load", "plot", "preset_names", "replay", "results", "run", "simulate", "summary", "sweep", "trace", "trial",
 ]  # fmt: skip
 
 if sys.platform == "win32":
@@ -79,4 +81,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from cellslam.benchmarks.scores.metrics import METRIC_KEYS, ROW_KEYS
 from cellslam.benchmarks.trials.external_processes import ExternalProcesses
+from cellslam.benchmarks.trials.failures import ExternalError
 from cellslam.benchmarks.trials.trials import (
     DEFAULT_ESTIMATORS,
+    Outcome,
+    Row,
     Trial,
     check_counts,
     score_recording,
     score_trial,
     simulated_trials,
 )
+from cellslam.cli.progress_bars import shown
 from cellslam.recordings.fitting.assumptions import assumed
 from cellslam.scenarios import external_options
 from cellslam.scenarios.recording_origin import TECHNOLOGY, Origin
@@ -23,13 +27,14 @@ from cellslam.scenarios.scenario import Scenario
 from cellslam.scenarios.simulation import scenario_of, simulate
 from cellslam.scenarios.sweep_points import Sweep, points
 from cellslam.sim.errors import InputError, unknown_name
-from cellslam.sim.progress import Progress, silent
+from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Recording
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+OnError = Literal["raise", "row"]
 Estimators = str | type[Any] | Sequence[str | type[Any]]
 
 
@@ -39,19 +44,21 @@ def run(
     trials: int = 1,
     seed: int = 0,
     overrides: Mapping[str, Any] | None = None,
-    progress: Progress = silent,
+    progress: Progress | bool = True,
+    on_error: OnError = "raise",
 ) -> pd.DataFrame:
     """Return the rows of `trials` trials of `estimators` in a scenario, one a trial and estimator.
 
     `scenario` is a preset's name, a .toml path, or a Scenario (then without overrides); an estimator is a name,
-    "module:Class", or a class; `overrides` are by dotted key. A trial that failed is a row with status "failed" and its
-    error. Raises InputError for a wrong request. Needs no `if __name__ == "__main__"`.
+    "module:Class", or a class; `overrides` are by dotted key. `progress`: on stderr (False: none), or a `Progress` of
+    your own. `on_error`: what an estimator raises is raised here ("raise"), or is a row with status "failed" and its
+    error ("row"). Raises InputError for a wrong request. Needs no `if __name__ == "__main__"`.
     """
     chosen = scenario_of(scenario, overrides)
     check_counts(trials, seed)
     requests = external_options.requests(chosen.estimator, names_of(estimators), overrides or ())
-    with ExternalProcesses() as external:
-        return _table(simulated_trials(chosen, requests, trials, seed, external, progress))
+    with ExternalProcesses() as external, shown(progress) as display:
+        return _table(simulated_trials(chosen, requests, trials, seed, external, display), on_error)
 
 
 def trial(
@@ -60,7 +67,8 @@ def trial(
     seed: int = 0,
     number: int = 0,
     overrides: Mapping[str, Any] | None = None,
-    progress: Progress = silent,
+    progress: Progress | bool = True,
+    on_error: OnError = "raise",
 ) -> TrialView:
     """Return one trial with all that it left: rows, figures, the recording with its truth, and the estimates.
 
@@ -69,15 +77,15 @@ def trial(
     chosen = scenario_of(scenario, overrides)
     check_counts(number + 1, seed)
     requests = external_options.requests(chosen.estimator, names_of(estimators), overrides or ())
-    with ExternalProcesses() as external:
+    with ExternalProcesses() as external, shown(progress) as display:
         drive, outcomes = score_trial(
-            lambda: simulate(chosen, seed, number, progress=progress),
-            chosen.name, requests, number, seed, external, progress,
+            lambda: simulate(chosen, seed, number, progress=display),
+            chosen.name, requests, number, seed, external, display,
         )  # fmt: skip
+        if drive.problem is not None:
+            raise drive.problem
         found = Trial(number, drive, tuple(outcomes))
-    if isinstance(drive.problem, InputError):
-        raise drive.problem
-    return TrialView(chosen, seed, found)
+    return TrialView(chosen, seed, found, _table([found], on_error))
 
 
 class TrialView:
@@ -88,10 +96,11 @@ class TrialView:
     (T, 6) in m and rad, `covariances` (T, 6, 6), `association`, `clock_offset_m` in m, `vts`.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, found: Trial) -> None:
-        self.scenario, self.seed, self.number = scenario, seed, found.number
-        self.recording, self.bound = found.drive.recording, found.drive.bound
-        self.rows = _table([found])
+    def __init__(self, scenario: Scenario, seed: int, found: Trial, rows: pd.DataFrame) -> None:
+        assert found.drive.recording is not None
+        self.scenario, self.seed, self.number, self.rows = scenario, seed, found.number, rows
+        self.recording: Recording = found.drive.recording
+        self.bound = found.drive.bound
         self.estimates = {o.row["estimator"]: o.result for o in found.outcomes if o.result is not None}
 
     def plot(self, name: str = "map") -> Figure:
@@ -105,8 +114,6 @@ class TrialView:
         from cellslam.benchmarks.figures.trial.trial_figures import drawings
         from cellslam.sim.world import prepare
 
-        if self.recording is None:
-            raise InputError(f"trial {self.number} has no figures: {self.rows.error.iloc[0]}")
         city = prepare(self.scenario.world, self.seed, self.number).scene.city
         known = drawings(city, self.recording, self.estimates, self.bound)
         if name not in known:
@@ -134,26 +141,27 @@ def replay(
     seed: int | None = None,
     overrides: Mapping[str, Any] | None = None,
     align: bool = False,
-    progress: Progress = silent,
+    progress: Progress | bool = True,
     fit: bool | None = None,
+    on_error: OnError = "raise",
 ) -> pd.DataFrame:
     """Return the rows of `estimators` on a recording or the file of one, each scored by truth or reference.
 
     `seed`: of the estimators' draws (None: the recording's own); `overrides`: options as
     "estimator.fastslam.particles", and the odometry's data sheet as "noise.u_psi.noise_density", and code that the
     recording names, as its "radio.technology", given again: unasked it is not loaded; `align`: each estimate is first
-    laid onto the truth; `fit`: the sizes of errors are learnt from the recording first (None: if it was measured).
-    Raises InputError.
+    laid onto the truth; `fit`: the sizes of errors are learnt from the recording first (None: if it was measured);
+    `progress`, `on_error`: as of `run`. Raises InputError.
     """
     place = Path("recording" if isinstance(recording, Recording) else recording)
     drive = recording if isinstance(recording, Recording) else Recording.load(place)
     origin = Origin.of(drive, place, (overrides or {}).get(TECHNOLOGY))
     root = origin.seed if seed is None else seed
     check_counts(1, root)
-    given = assumed(drive, origin, names_of(estimators), overrides or {}, fit, progress)
-    with ExternalProcesses() as external:
-        more = {"external": external, "progress": progress, "align": align, "sheet": given.odometry_model}
-        return _table([score_recording(drive, origin.name, given.requests, origin.trial, root, **more)])
+    with ExternalProcesses() as external, shown(progress) as display:
+        given = assumed(drive, origin, names_of(estimators), overrides or {}, fit, display)
+        more = {"external": external, "progress": display, "align": align, "sheet": given.odometry_model}
+        return _table([score_recording(drive, origin.name, given.requests, origin.trial, root, **more)], on_error)
 
 
 def sweep(
@@ -165,11 +173,12 @@ def sweep(
     seed: int = 0,
     overrides: Mapping[str, Any] | None = None,
     jobs: int | None = None,
-    progress: Progress = silent,
+    progress: Progress | bool = True,
 ) -> SweepView:
     """Run every combination of the `axes`, keys with their values, keep it in the folder `out`, and return it.
 
-    What `out` has already is not done again. `jobs`: processes (None: one a core). Raises InputError.
+    What `out` has already is not done again. `jobs`: processes (None: one a core). A trial that
+    failed is a row that says why. Raises InputError.
     """
     from cellslam.benchmarks.sweeps.executors import cores, executor
     from cellslam.benchmarks.sweeps.store import writing
@@ -185,7 +194,11 @@ def sweep(
     command = f"cellslam.sweep({str(scenario)!r}, {dict(axes)!r})"
     with writing(Path(out), command, versions()) as store:
         todo = pending(plan(asked, trials, seed), store.folder, retry_failed=False)
-        with executor("processes", processes, shares(processes)) as pool, progress("trials", len(todo)) as advance:
+        with (
+            executor("processes", processes, shares(processes)) as pool,
+            shown(progress) as display,
+            display("trials", len(todo)) as advance,
+        ):
             carry_out(todo, store, pool, lambda *_: advance(1))
     return SweepView(Path(out))
 
@@ -232,12 +245,20 @@ def names_of(estimators: Estimators) -> tuple[str, ...]:
     return tuple(one if isinstance(one, str) else f"{one.__module__}:{one.__qualname__}" for one in several)
 
 
-def _table(trials: Iterable[Trial]) -> pd.DataFrame:
+def _table(trials: Iterable[Trial], on_error: OnError) -> pd.DataFrame:
     import pandas as pd
 
-    def rows() -> Iterator[dict[str, Any]]:
-        return (outcome.row for trial in trials for outcome in trial.outcomes)
-
-    frame = pd.DataFrame(rows(), columns=list(ROW_KEYS))
+    if on_error not in get_args(OnError):
+        raise unknown_name("on_error", str(on_error), get_args(OnError))
+    outcomes = (outcome for trial in trials for outcome in trial.outcomes)
+    frame = pd.DataFrame((_row(outcome, on_error) for outcome in outcomes), columns=list(ROW_KEYS))
     numbers = [key for key in ROW_KEYS if key in METRIC_KEYS or key.endswith(("_s", "_m", "_seconds", "_factor"))]
     return frame.astype(dict.fromkeys(numbers, "float64"))
+
+
+def _row(outcome: Outcome, on_error: OnError) -> Row:
+    if outcome.error is None or on_error == "row":
+        return outcome.row
+    if isinstance(outcome.error, ExternalError):
+        outcome.error.add_note(outcome.error.details)  # the traceback of the estimator's own process
+    raise outcome.error

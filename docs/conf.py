@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import sys
+from functools import partial
 from importlib.metadata import version as installed
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ default_role = "code"
 myst_enable_extensions = ["attrs_inline", "colon_fence"]
 myst_heading_anchors = 3
 autodoc_member_order = "bysource"
-autodoc_type_aliases = {"Floats": "Floats", "Ints": "Ints"}
+autodoc_type_aliases = {name: name for name in ("Floats", "Ints", "Estimators", "OnError", "Step")}
 autodoc_typehints_format = "short"
 autodoc_default_options = {"members": True, "exclude-members": "model_config"}
 add_module_names = False
@@ -46,17 +47,18 @@ GENERATED = {
     "estimator_options": reference_pages.estimator_options,
     "gallery": draw_gallery.page,
     "metrics": reference_pages.metrics,
-    "python": reference_pages.python,
     "scenario_keys": reference_pages.scenario_keys,
     "scenarios": reference_pages.scenarios,
     "suites": reference_pages.suites,
+    **{f"python_{page}": partial(reference_pages.python, page) for page in reference_pages.PYTHON},
 }
+MADE = re.compile(r"^> Made from the code \((\w+)\): .*?(?=\n\n|\Z)", re.M | re.S)  # what a page says in a checkout
 
 
 def add_generated(app: Any, page: str, source: list[str]) -> None:
-    """Put what the code says in the place of `{{ NAME }}`, and names in the place of links to what is not a page."""
+    """Put what the code says where a page is made from it, and names in the place of links to what is not a page."""
     place = HERE / Path(page).parent
-    text = re.sub(r"^\{\{ (\w+) \}\}$", lambda found: GENERATED[found[1]](), source[0], flags=re.M)
+    text = MADE.sub(lambda found: GENERATED[found[1]](), source[0])
 
     def mended(link: re.Match[str]) -> str:
         target = (place / link[2]).resolve()

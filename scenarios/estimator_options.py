@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from cellslam.sim.lte.radio_config import RadioConfig
 
 Tables = Mapping[str, Mapping[str, Any]]
-# Asks the estimator of a module and name, with a table of options, for all of its options and whether it is an oracle.
-Ask = Callable[[str, str, Mapping[str, Any]], tuple[Mapping[str, Any] | None, bool]]
+# Asks an estimator, by its module, its target and tables of options, for its name, all of its options, and whether it
+# is an oracle.
+Ask = Callable[[str, str, Tables], tuple[str, Mapping[str, Any] | None, bool]]
 CAUSES = ("noise_unit_snr", "diffuse")
 
 
@@ -32,12 +33,19 @@ class Request:
     """An estimator that was asked for: its name, its class, and its validated options (None: it has none).
 
     `external`: it is loaded and run in a process of its own alone; `estimator` only says whether it is an oracle.
+    `module_class`: where its class is found, as module:Class, if it was asked for so and has a name of its own.
     """
 
     name: str
     estimator: type[Any]
     options: BaseModel | None
     external: bool = False
+    module_class: str = ""
+
+    @property
+    def target(self) -> str:
+        """What it is loaded by: module:Class, or a name that is known."""
+        return self.module_class or self.name
 
     @property
     def oracle(self) -> bool:
@@ -55,32 +63,51 @@ def resolve(
     estimators not in `names`. `ask`: external estimators are not loaded here, but asked by it
     (`external_options.asking`). Raises InputError for an unknown estimator or option, or a value out of range.
     """
-    names = registry.expanded(names)
-    known = {*registry.names(), *names}
+    requests = tuple(_request(tables, name, ask) for name in registry.expanded(names))
+    asked = {text for request in requests for text in (request.name, request.target)}
+    _check_names(requests)
+    known = {*registry.names(), *asked}
     for name in tables:
         if name not in known and ":" not in name:
             raise unknown_name("table", f"estimator.{name}", (f"estimator.{k}" for k in known))
-    requests = tuple(_request(tables, name, ask) for name in dict.fromkeys(names))
     touched = {split(key)[1] for key in overrides if key.startswith("estimator.")}
-    for name in sorted(touched - set(names)):
+    for name in sorted(touched - asked):
         _request(tables, name, ask)
     return requests
 
 
-def external_request(name: str, options: Mapping[str, Any] | None, oracle: bool) -> Request:
+def called(names: Iterable[str], ask: Ask) -> set[str]:
+    """Return all that estimators may be called in keys: as they were asked for, and what their classes call
+    themselves. Raises InputError.
+    """
+    requests = [_request({}, name, ask) for name in names]
+    return {text for request in requests for text in (request.name, request.target)}
+
+
+def _check_names(requests: Iterable[Request]) -> None:
+    seen: dict[str, str] = {}
+    for request in requests:
+        other = seen.setdefault(request.name, request.target)
+        if other != request.target:
+            text = f"{other} and {request.target} are both called '{request.name}'"
+            raise InputError(f"{text}: give each class an attribute `name` of its own")
+
+
+def external_request(name: str, options: Mapping[str, Any] | None, oracle: bool, module_class: str = "") -> Request:
     """Return the request for an estimator that runs in a process of its own; `options` are all of its options."""
     stand_in = type("External", (), {"requires_truth": oracle})
     if options is None:
-        return Request(name, stand_in, None, True)
+        return Request(name, stand_in, None, True, module_class)
     fields: dict[str, Any] = {key: (Any, value) for key, value in options.items()}
     model: Any = create_model("Options", **fields)
-    return Request(name, stand_in, model(), True)
+    return Request(name, stand_in, model(), True, module_class)
 
 
 def with_options(scenario: Scenario, requests: Iterable[Request]) -> Scenario:
     """Return `scenario` with every option of the requested estimators written out, defaults included."""
-    full = {r.name: r.options.model_dump(mode="json") for r in requests if r.options is not None}
-    return scenario.model_copy(update={"estimator": {**scenario.estimator, **full}})
+    full = {r.target: r.options.model_dump(mode="json") for r in requests if r.options is not None}
+    others = {name: table for name, table in scenario.estimator.items() if name not in {r.name for r in requests}}
+    return scenario.model_copy(update={"estimator": {**others, **full}})
 
 
 def option_keys() -> list[str]:
@@ -100,15 +127,19 @@ def own_code(tables: Tables) -> dict[str, str]:
     }
 
 
-def loaded(name: str, table: Mapping[str, Any]) -> Request:
-    """Return the request for an estimator that is loaded in this process. Raises InputError, BrokenPluginError."""
-    estimator = registry.resolve(name)
+def loaded(target: str, tables: Tables) -> Request:
+    """Return the request for an estimator that is loaded in this process: by a name that is known, or as module:Class.
+
+    Its options stand in the table of its name or of its target. Raises InputError, BrokenPluginError.
+    """
+    estimator = registry.resolve(target)
+    name = registry.name_of(target, vars(estimator).get("name"))
+    table = {**tables.get(target, {}), **tables.get(name, {})}
     model = registry.options_model(estimator)
-    if model is None:
-        if table:
-            raise InputError(f"unknown key 'estimator.{name}.{next(iter(table))}': estimator '{name}' has no options")
-        return Request(name, estimator, None)
-    return Request(name, estimator, validate(model, table, f"estimator.{name}."))
+    if model is None and table:
+        raise InputError(f"unknown key 'estimator.{name}.{next(iter(table))}': estimator '{name}' has no options")
+    options = None if model is None else validate(model, table, f"estimator.{name}.")
+    return Request(name, estimator, options, module_class="" if name == target else target)
 
 
 def broken(reason: InputError) -> type[Any]:
@@ -122,14 +153,16 @@ def broken(reason: InputError) -> type[Any]:
     return Broken
 
 
-def _request(tables: Tables, name: str, ask: Ask | None) -> Request:
-    table, module = tables.get(name, {}), None if ask is None else registry.module_of(name)
+def _request(tables: Tables, target: str, ask: Ask | None) -> Request:
+    module = None if ask is None else registry.module_of(target)
     try:
         if ask is None or module is None:
-            return loaded(name, table)
-        return external_request(name, *ask(module, name, table))
+            return loaded(target, tables)
+        said, options, oracle = ask(module, target, tables)
+        name = registry.name_of(target, said)
+        return external_request(name, options, oracle, "" if name == target else target)
     except registry.BrokenPluginError as error:
-        return Request(name, broken(error), None)
+        return Request(target, broken(error), None)
 
 
 def data_sheet(radio: RadioConfig) -> dict[str, float]:

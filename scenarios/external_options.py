@@ -37,15 +37,15 @@ def asking(limit_s: float = LOAD_LIMIT_S) -> Iterator[Ask]:
     """
     asked: dict[str, subprocess.Popen[bytes]] = {}
 
-    def ask(module: str, name: str, table: Mapping[str, Any]) -> tuple[Mapping[str, Any] | None, bool]:
+    def ask(module: str, target: str, tables: Tables) -> tuple[str, Mapping[str, Any] | None, bool]:
         if module not in asked:
             asked[module] = _process()
-        answer = _answer(asked[module], name, table, min(limit_s, LOAD_LIMIT_S))
+        answer = _answer(asked[module], target, tables, min(limit_s, LOAD_LIMIT_S))
         if "wrong" in answer:
             raise InputError(answer["wrong"])
         if "broken" in answer:
             raise BrokenPluginError(answer["broken"])
-        return answer["options"], bool(answer["oracle"])
+        return answer["name"], answer["options"], bool(answer["oracle"])
 
     try:
         yield ask
@@ -66,17 +66,17 @@ def main() -> None:
         answers.flush()
 
 
-def _as_json(name: str, table: Mapping[str, Any]) -> str:
+def _as_json(target: str, tables: Tables) -> str:
     try:
-        request = loaded(name, table)
+        request = loaded(target, tables)
         options = None if request.options is None else request.options.model_dump(mode="json")
-        return json.dumps({"options": options, "oracle": request.oracle})
+        return json.dumps({"name": request.name, "options": options, "oracle": request.oracle})
     except BrokenPluginError as error:
         return json.dumps({"broken": str(error)})
     except InputError as error:
         return json.dumps({"wrong": str(error)})
     except BaseException as error:
-        return json.dumps({"broken": f"estimator '{name}': {type(error).__name__}: {one_line(error)}"})
+        return json.dumps({"broken": f"estimator '{target}': {type(error).__name__}: {one_line(error)}"})
 
 
 def _process() -> subprocess.Popen[bytes]:
@@ -91,14 +91,14 @@ def _process() -> subprocess.Popen[bytes]:
     return process
 
 
-def _answer(process: subprocess.Popen[bytes], name: str, table: Mapping[str, Any], limit_s: float) -> dict[str, Any]:
+def _answer(process: subprocess.Popen[bytes], target: str, tables: Tables, limit_s: float) -> dict[str, Any]:
     """Ask one question. A process that does not answer, whatever the reason, is that of a broken estimator."""
     assert process.stdout is not None
-    _write(process, [name, table])
+    _write(process, [target, tables])
     answered = wait([process.stdout.fileno()], limit_s)
     try:
         answer: dict[str, Any] = json.loads(process.stdout.readline()) if answered else {}
-        assert answer.keys() & {"wrong", "broken"} or answer.keys() == {"options", "oracle"}
+        assert answer.keys() & {"wrong", "broken"} or answer.keys() == {"name", "options", "oracle"}
         return answer
     except (ValueError, AttributeError, AssertionError):
         if answered:
@@ -107,7 +107,7 @@ def _answer(process: subprocess.Popen[bytes], name: str, table: Mapping[str, Any
         supervisor.end(process)
         ended = f"its process ended with exit status {process.returncode}"
         why = ended if answered else f"no answer in {limit_s:g} s"
-        return {"broken": f"estimator '{name}': its module cannot be imported: {why}"}
+        return {"broken": f"estimator '{target}': its module cannot be imported: {why}"}
 
 
 def _write(process: subprocess.Popen[bytes], question: Any) -> None:

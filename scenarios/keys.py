@@ -37,13 +37,14 @@ _EXPECTED = {
 
 @dataclass(frozen=True)
 class Key:
-    """One key as `cellslam show` lists it; `unit` and `allowed` may be empty."""
+    """One key as `cellslam show` lists it; `unit` and `allowed` may be empty. `changed`: it is not at its default."""
 
     name: str
     value: Any
     unit: str
     allowed: str
     meaning: str
+    changed: bool
 
 
 def describe(config: BaseModel, prefix: str = "") -> Iterator[Key]:
@@ -57,7 +58,9 @@ def describe(config: BaseModel, prefix: str = "") -> Iterator[Key]:
             for index, item in enumerate(value):
                 yield from describe(item, f"{path}.{label(item.__dict__, index)}.")
         else:
-            yield Key(path, value, unit_of(name), allowed(field), field.description or "")
+            default = field.get_default(call_default_factory=True, validated_data=vars(config))
+            changed = field.is_required() or value != default
+            yield Key(path, value, unit_of(name), allowed(field), field.description or "", changed)
 
 
 def known_fields(model: type[BaseModel], data: Any, prefix: str = "") -> dict[str, FieldInfo]:
@@ -79,6 +82,11 @@ def label(item: Any, index: int) -> str:
     """Return how an item of a list is called in a dotted key: by its name if it has one, else by index."""
     name = item.get("name") if isinstance(item, Mapping) else None
     return name if isinstance(name, str) else str(index)
+
+
+def names_file(key: str) -> bool:
+    """Return whether the value of a key, by its last part, is the name of a file."""
+    return key in ("file", "path") or key.endswith("_file")
 
 
 def unit_of(name: str) -> str:

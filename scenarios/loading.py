@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cellslam.scenarios.estimator_options import option_keys, stated
-from cellslam.scenarios.keys import validate
+from cellslam.scenarios.keys import names_file, validate
 from cellslam.scenarios.overrides import apply
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.data_files import text_of, toml_of
@@ -21,8 +21,9 @@ from cellslam.sim.lte.radio_config import is_loaded
 def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None, code: bool = True) -> Scenario:
     """Return the preset of that name, or the scenario of that .toml file, with `overrides` by dotted key.
 
-    `code`: whether code that it names may be loaded (`from_tables`). Raises InputError with what is wrong and what is
-    allowed: unknown scenario or key, value out of range.
+    Files that a scenario file names are looked for beside it first, and then in the current directory. `code`: whether
+    code that it names may be loaded (`from_tables`). Raises InputError with what is wrong and what is allowed: unknown
+    scenario or key, value out of range.
     """
     name, data, source = _read(name_or_path)
     return from_tables({"name": name, **data}, overrides, source, code)
@@ -64,7 +65,27 @@ def _read(name_or_path: str | Path) -> tuple[str, dict[str, Any], str]:
     path = Path(text)
     if not (text.endswith(".toml") or len(path.parts) > 1 or path.is_file()):
         raise InputError(f"{unknown_name('scenario', text, preset_names())}; or give a .toml file")
-    return path.stem, _tables(path), text
+    return path.stem, _beside(path.parent, _tables(path)), text
+
+
+def _beside(folder: Path, value: Any) -> Any:
+    """Return a value of a scenario file, in which what stands beside that file is named from the current directory."""
+    if isinstance(value, list):
+        return [_beside(folder, item) for item in value]
+    if not isinstance(value, dict):
+        return value
+    return {key: _place(folder, inner) if names_file(key) else _beside(folder, inner) for key, inner in value.items()}
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # as of a name that is too long
+        return False
+
+
+def _place(folder: Path, name: Any) -> Any:
+    return str(folder / name) if isinstance(name, str) and _exists(folder / name) else name
 
 
 def _tables(path: Path) -> dict[str, Any]:

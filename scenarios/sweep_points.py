@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cellslam.scenarios.estimator_options import Ask, Request, resolve
+from cellslam.scenarios.estimator_options import Ask, Request, called, resolve
 from cellslam.scenarios.external_options import LOAD_LIMIT_S, asking
 from cellslam.scenarios.keys import describe, validate
 from cellslam.scenarios.loading import load, preset_names
@@ -169,7 +169,6 @@ def points(sweep: Sweep, estimators: Sequence[str], limit_s: float = LOAD_LIMIT_
     range.
     """
     estimators = expanded(estimators)
-    _check_keys(sweep, estimators)
     count = math.prod(len(axis) for axis in sweep.axes)
     if not 0 < count <= MOST_POINTS:
         raise InputError(f"the sweep has {count} points: must be 1 to {MOST_POINTS}")
@@ -177,6 +176,7 @@ def points(sweep: Sweep, estimators: Sequence[str], limit_s: float = LOAD_LIMIT_
     known: dict[str, tuple[Request, ...]] = {}
     out = []
     with asking(limit_s) as ask:
+        _check_keys(sweep, estimators, ask)
         for combination in itertools.product(*_completed(sweep, estimators, ask)):
             settings = {key: value for setting in combination for key, value in setting.items()}
             overrides = {**sweep.overrides, **settings}
@@ -188,8 +188,8 @@ def points(sweep: Sweep, estimators: Sequence[str], limit_s: float = LOAD_LIMIT_
     return tuple(out)
 
 
-def _check_keys(sweep: Sweep, estimators: Sequence[str]) -> None:
-    seen: set[str] = set()
+def _check_keys(sweep: Sweep, estimators: Sequence[str], ask: Ask) -> None:
+    names, seen = called(estimators, ask), set[str]()
     for axis in sweep.axes:
         keys = {key for setting in axis for key in setting}
         for key in sorted(keys):
@@ -198,7 +198,7 @@ def _check_keys(sweep: Sweep, estimators: Sequence[str]) -> None:
             if key in seen:
                 raise InputError(f"{key} is swept twice: write all its values once")
             name = split(key)[1] if key.startswith("estimator.") else None
-            if name is not None and name not in estimators:
+            if name is not None and name not in names:
                 raise InputError(f"{key} is swept, but '{name}' is not among the estimators ({', '.join(estimators)})")
         seen |= keys
 

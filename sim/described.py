@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sized
 from dataclasses import fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LONGEST = 60
+POSITION_COLUMNS = ("x_m", "y_m", "z_m")
+POSE_COLUMNS = (*POSITION_COLUMNS, "yaw_rad", "pitch_rad", "roll_rad")
 
 
 class Described:
@@ -29,3 +34,10 @@ def described(value: Any) -> str:
     many = f" of {len(value)}" if isinstance(value, Sized) else ""
     kind = "mapping" if isinstance(value, Mapping) else type(value).__name__
     return f"<{kind}{many}>"
+
+
+def dataframe(columns: Mapping[str, Any]) -> pd.DataFrame:
+    """Return columns as a pandas table; those that are None are left out."""
+    import pandas as pd
+
+    return pd.DataFrame({name: column for name, column in columns.items() if column is not None})

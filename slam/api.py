@@ -9,16 +9,19 @@ Source: paper, sections II and III: body velocities (eq. 14), distance, azimuth 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.described import Described
+from cellslam.sim.described import POSITION_COLUMNS, Described, dataframe
 from cellslam.sim.frames import held
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel, Recording, Sites, Truth
 from cellslam.slam.model.vt_map import VtMap
 from cellslam.slam.model.walls import normals
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, repr=False)
@@ -89,6 +92,12 @@ class VtEstimate(Described):
     link: Ints
     position_m: Floats
     covariance: Floats
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return a pandas table, a row a VT: id, link, x_m, y_m, z_m."""
+        return dataframe(
+            {"id": self.id, "link": self.link, **dict(zip(POSITION_COLUMNS, self.position_m.T, strict=True))}
+        )
 
 
 @dataclass(frozen=True, repr=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import sys
 import traceback
 from collections.abc import Iterable
@@ -18,6 +19,7 @@ from cellslam.sim.errors import InputError, one_line, unknown_name
 ENTRY_POINT_GROUP = "cellslam.estimators"
 ALL = "all"
 MOST_FRAMES = 6
+_PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
 _PACKAGES = Path(__file__).resolve().parent.parent  # where cellslam's own code is
 
 
@@ -172,6 +174,16 @@ def module_of(name: str) -> str | None:
         return None if module in ("", "__main__") or module.startswith("cellslam.") else module
     known = (entry.target.partition(":")[0] for entry in listing() if entry.external and entry.name == name)
     return next(known, None)
+
+
+def name_of(target: str, said: Any) -> str:
+    """Return what an estimator is called in keys, rows, tables and figures.
+
+    One that was asked for as `module:Class` has the name that its class itself says, not a base of it, in its attribute
+    `name`, unless that is no plain name, or that of an estimator that is known.
+    """
+    plain = isinstance(said, str) and _PLAIN_NAME.fullmatch(said)
+    return said if ":" in target and plain and said not in names() else target
 
 
 def options_model(estimator: type[Any]) -> type[Any] | None:

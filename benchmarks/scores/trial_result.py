@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cellslam.sim.described import Described
+from cellslam.sim.described import POSE_COLUMNS, Described, dataframe
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import VtEstimate, WallEstimate
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.vt_map import VtMap
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, repr=False)
@@ -42,6 +46,10 @@ class TrialResult(Described):
     oracle: bool = False
     estimate_seconds: float = float("nan")
     peak_memory_mb: float = float("nan")
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return a pandas table, a row a snapshot: x_m, y_m, z_m, yaw_rad, pitch_rad, roll_rad, position_std_m."""
+        return dataframe(dict(zip(POSE_COLUMNS, self.poses.T, strict=True)) | {"position_std_m": self.position_std_m})
 
     @property
     def position_std_m(self) -> Floats:

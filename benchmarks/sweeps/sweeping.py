@@ -161,7 +161,7 @@ def _compile(task: Task, external: ExternalProcesses) -> None:
         bound(recording)
     for job in task.jobs:
         try:
-            request = request_of(job.estimator, job.options, job.oracle)
+            request = request_of(job)
             (external.warm_up if request.external else warm_up)(request)
         except Exception:
             # The trial itself will say so in its row.

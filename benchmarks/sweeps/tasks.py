@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellslam.scenarios.estimator_options import Request, broken, external_request, loaded
+from cellslam.scenarios.keys import names_file
 from cellslam.scenarios.scenario import MapConfig
 from cellslam.scenarios.sweep_points import Point
 from cellslam.sim.errors import InputError
@@ -27,15 +28,17 @@ if TYPE_CHECKING:
 
 KEY_LENGTH = 32
 KNOWN, CHANGED = "known_world", "overrides"  # keys of a world that is one of others, and of what is changed in it
-Asked = dict[str, dict[tuple[str, str], bool]]
+Asked = dict[str, dict[tuple[str, str, str], bool]]  # by world: name, target and options of an estimator; an oracle?
 
 
 @dataclass(frozen=True)
 class Job:
-    """One estimator in one trial. `options` is the JSON of its full options, "null" where it has none."""
+    """One estimator in one trial: its name, what it is loaded by, and the JSON of its full options, "null" where it has
+    none."""
 
     key: str
     estimator: str
+    target: str
     options: str
     oracle: bool = False
 
@@ -125,7 +128,7 @@ def plan(points: Sequence[Point], trials: int | Sequence[int], seed: int, trajec
         world = world_json(point.scenario)
         counts[world] = max(count, counts.get(world, 0))
         cities.add(point.scenario.city.model_dump_json())
-        asked = {(request.name, options_json(request)): request.oracle for request in point.requests}
+        asked = {(one.name, one.target, options_json(one)): one.oracle for one in point.requests}
         jobs.setdefault(world, {}).update(asked)
     return _planned(jobs, counts, seed, trajectories, trial_by_trial=len(cities) <= KEPT_SCENES)
 
@@ -135,8 +138,8 @@ def plan_known(world: KnownWorld, trials: int, seed: int, trajectories: bool = T
     jobs: Asked = {}
     for entry in (*world.entries, *world.ladder):
         text, name, options = asked_by(world, entry)
-        oracle = loaded(entry.estimator, entry.options).oracle
-        jobs.setdefault(text, {})[name, options] = oracle
+        oracle = loaded(name, {name: entry.options}).oracle
+        jobs.setdefault(text, {})[name, name, options] = oracle
     return _planned(jobs, dict.fromkeys(jobs, trials), seed, trajectories, trial_by_trial=True)
 
 
@@ -144,21 +147,21 @@ def asked_by(world: KnownWorld, entry: Entry) -> tuple[str, str, str]:
     """Return what an entry of a known world asks for: the world as JSON, the estimator, its options as JSON."""
     changed = {CHANGED: dict(entry.overrides)} if entry.overrides else {}
     text = canonical({"name": world.name, KNOWN: world.name, **changed})
-    return text, entry.estimator, options_json(loaded(entry.estimator, entry.options))
+    return text, entry.estimator, options_json(loaded(entry.estimator, {entry.estimator: entry.options}))
 
 
 def _planned(jobs: Asked, trials: Mapping[str, int], seed: int, trajectories: bool, trial_by_trial: bool) -> Plan:
     order = [(world, trial) for world in jobs for trial in range(trials[world])]
     if trial_by_trial:
         order.sort(key=lambda task: task[1])
-    said = {options for asked in jobs.values() for _, options in asked}
+    said = {options for asked in jobs.values() for _, _, options in asked}
     whole = {text: with_contents(text) for text in (*jobs, *said)}
 
     def jobs_of(world: str, trial: int) -> tuple[Job, ...]:
         at = str(seed), str(trial)
         return tuple(
-            Job(identity(whole[world], name, whole[options], *at), name, options, oracle)
-            for (name, options), oracle in jobs[world].items()
+            Job(identity(whole[world], target, whole[options], *at), name, target, options, oracle)
+            for (name, target, options), oracle in jobs[world].items()
         )
 
     tasks = tuple(Task(world, trial, seed, jobs_of(world, trial), trajectories) for world, trial in order)
@@ -194,7 +197,7 @@ def work(task: Task, external: ExternalProcesses) -> Iterator[Began | Result | L
     from cellslam.benchmarks.trials.trials import NOTHING, score_trial
 
     yield Began(None)
-    requests = [request_of(job.estimator, job.options, job.oracle) for job in task.jobs]
+    requests = [request_of(job) for job in task.jobs]
 
     def make() -> Recording:
         return recording_of(task)
@@ -239,7 +242,7 @@ def with_contents(text: str) -> str:
 
 def _named_files(value: Any) -> Iterator[str]:
     for key, inner in value.items() if isinstance(value, dict) else ():
-        if isinstance(inner, str) and (key in ("file", "path") or key.endswith("_file")):
+        if isinstance(inner, str) and names_file(key):
             yield inner
         yield from _named_files(inner)
 
@@ -273,13 +276,17 @@ def scenario_of(world: str) -> Scenario:
     return from_tables(json.loads(world))
 
 
+def request_of(job: Job) -> Request:
+    """Return the request of a job; other people's estimator is not loaded, and believed to be an oracle or none."""
+    return _request_of(job.estimator, job.target, job.options, job.oracle)
+
+
 @lru_cache(maxsize=64)
-def request_of(estimator: str, options: str, oracle: bool = False) -> Request:
-    """Return the request of an estimator with options as JSON; other people's is not loaded, `oracle` is believed."""
+def _request_of(name: str, target: str, options: str, oracle: bool) -> Request:
     table = json.loads(options)
-    if registry.module_of(estimator) is not None:
-        return external_request(estimator, table, oracle)
+    if registry.module_of(target) is not None:
+        return external_request(name, table, oracle, "" if name == target else target)
     try:
-        return loaded(estimator, table or {})
+        return loaded(target, {target: table or {}})
     except InputError as error:
-        return Request(estimator, broken(error), None)
+        return Request(name, broken(error), None)

@@ -78,6 +78,7 @@ def comparison(
 ) -> pd.DataFrame:
     """Return the paired differences `first` - `second` of two estimators on the same worlds and trials, by group.
 
+    Each is a name, or one variant of an estimator whose options vary, as "fastslam[particles=100]".
     Columns: the row keys, `metric`, `pairs`, `median_difference`, `low`, `high`, `p_value` (Wilcoxon's signed-rank
     test, not corrected for the number of groups), `share_below`, `left_out` (a trial failed or lacks the metric).
     """
@@ -88,17 +89,17 @@ def comparison(
     metrics_of(Layout(metrics=(metric,)))
     check_confidence(confidence)
     keys = [key for key in row_keys(folder, Layout(rows=rows)) if key != "estimator"]
-    frame = results(folder, [*keys, "estimator", "world", "options", "seed", "trial", "status", metric])
-    for name in (first, second):
-        if name not in set(frame["estimator"]):
-            raise unknown_name("estimator", name, set(frame["estimator"]))
-    other = frame[frame["estimator"] == second]
+    frame = results(folder, [*varying_keys(folder), *keys, "estimator", "options", *_DRIVE, "status", metric])
+    own, fixed = _variant(frame, first)
+    other, _ = _variant(frame, second)
     if other["options"].nunique() > 1:
+        one = next(key for key in map(str, frame) if key.startswith(f"estimator.{second}."))
+        value = _text(other[one].iloc[0])
         raise InputError(
-            f"'{second}' has several options in this sweep: put it first, or sweep them in a folder of their own"
+            f"'{second}' has several options in this sweep: put it first, or say which, as "
+            f"{second}[{one.rpartition('.')[2]}={value}]"
         )
-    same = ["world", "seed", "trial"]
-    own = frame[frame["estimator"] == first]
+    keys, same = [key for key in keys if key not in fixed], list(_DRIVE)
     joined = own.merge(other[[*same, "status", metric]], on=same, suffixes=("", " 2"))
     lines = []
     for values, group in groups(joined, keys):
@@ -108,6 +109,31 @@ def comparison(
         rest = {"p_value": found.p_value, "share_below": found.share_below, "left_out": len(group) - len(fine)}
         lines.append({**values, "metric": metric, **numbers, **rest})
     return pd.DataFrame(lines)
+
+
+def _variant(frame: pd.DataFrame, text: str) -> tuple[pd.DataFrame, set[str]]:
+    """Return the rows of an estimator, or of one of its variants, and the keys whose values the variant fixes."""
+    name, _, rest = text.removesuffix("]").partition("[")
+    if name not in set(frame["estimator"]):
+        raise unknown_name("estimator", name, set(frame["estimator"]))
+    rows, fixed = frame[frame["estimator"] == name], set[str]()
+    for part in rest.split(",") if rest else ():
+        option, _, value = part.strip().partition("=")
+        key = f"estimator.{name}.{option}"
+        varying = [one.rpartition(".")[2] for one in map(str, frame) if one.startswith(f"estimator.{name}.")]
+        if option not in varying:
+            raise unknown_name(f"option of '{name}' that varies", option, varying)
+        known = {_text(found): found for found in rows[key].unique()}
+        if value not in known:
+            raise unknown_name(f"value of {key}", value, known)
+        rows, fixed = rows[rows[key] == known[value]], {*fixed, key}
+    return rows, fixed
+
+
+def _text(value: Any) -> str:
+    """Return an option's value as it is written in a scenario; a column with gaps holds whole numbers as floats."""
+    whole = isinstance(value, float) and value.is_integer()
+    return str(int(value) if whole else plain(value))
 
 
 def keys_of(metrics: Sequence[str]) -> list[str]:

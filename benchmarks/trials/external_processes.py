@@ -93,15 +93,15 @@ class ExternalProcesses:
             yield self._of(request)
         except BaseException as error:
             if type(error) is not ExternalError:
-                self._end(request.name)
+                self._end(request.target)
             raise
 
     def _of(self, request: Request) -> _Process:
-        if request.name not in self._alive:
+        if request.target not in self._alive:
             if len(self._alive) >= MOST_PROCESSES:
                 self._end(next(iter(self._alive)))
-            self._alive[request.name] = _Process(request.name, self.limits, self.one_thread)
-        return self._alive[request.name]
+            self._alive[request.target] = _Process(request.target, self.limits, self.one_thread)
+        return self._alive[request.target]
 
     def _end(self, name: str) -> None:
         self._alive.pop(name).end()
@@ -110,9 +110,9 @@ class ExternalProcesses:
 class _Process(ChildProcess):
     """The process of one estimator."""
 
-    def __init__(self, name: str, limits: Limits, one_thread: bool) -> None:
+    def __init__(self, target: str, limits: Limits, one_thread: bool) -> None:
         super().__init__(__name__, limits, one_thread, STDERR, PROCESS)
-        self.send((name, sys.path))
+        self.send((target, sys.path))
         self._started, self._memory_check = False, 0.0
         self._deadline, self._limit_s = time.monotonic() + START_LIMIT_S, START_LIMIT_S
 
@@ -173,7 +173,7 @@ class _Process(ChildProcess):
 
 
 def main() -> None:
-    """Serve one estimator: its name and the places of modules come first, then options and a drive, again and again."""
+    """Serve one estimator: its target and the places of modules come first, then options and a drive, repeatedly."""
     requests, send = connect()
 
     def reply(header: dict[str, Any], columns: dict[str, Any]) -> None:
@@ -181,20 +181,20 @@ def main() -> None:
 
     try:
         reply({}, {})
-        name, path = pickle.load(requests)
+        target, path = pickle.load(requests)
         sys.path += [place for place in path if place and place not in sys.path]
         while True:
             options, driven = pickle.load(requests)
-            _serve(name, options, requests if driven else None, reply)
+            _serve(target, options, requests if driven else None, reply)
     finally:  # nothing that the estimator has left, a thread or a handler, keeps this process
         os._exit(1)
 
 
-def _serve(name: str, options: str, drive: IO[bytes] | None, reply: Callable[..., None]) -> None:
+def _serve(target: str, options: str, drive: IO[bytes] | None, reply: Callable[..., None]) -> None:
     """Reply when the estimator is compiled, then to each step of a `drive` as it comes: setup and generator first,
     None after the last."""
     try:
-        request = _request(name, options)
+        request = _request(target, options)
         warm_up(request)
         reply({"requires_future": requires_future(request)}, {})
         if drive is None:
@@ -209,5 +209,5 @@ def _serve(name: str, options: str, drive: IO[bytes] | None, reply: Callable[...
 
 
 @lru_cache(maxsize=64)
-def _request(name: str, options: str) -> Request:
-    return loaded(name, json.loads(options) or {})
+def _request(target: str, options: str) -> Request:
+    return loaded(target, {target: json.loads(options) or {}})

@@ -46,15 +46,21 @@ ALIGNED = "horizontal, least squares over the whole drive"
 
 @dataclass(frozen=True, repr=False)
 class Outcome(Described):
-    """One estimator's trial: its row, and its result, or the traceback of why there is none.
-
-    `lost`: its process died or was killed, which need not be its own fault.
-    """
+    """One estimator's trial: its row, and its result, or the error that there was in place of one."""
 
     row: Row
     result: TrialResult | None
-    traceback: str = ""
-    lost: bool = False
+    error: BaseException | None = None
+
+    @property
+    def traceback(self) -> str:
+        """The traceback of the error, and nothing where there was none."""
+        return "" if self.error is None else details(self.error)
+
+    @property
+    def lost(self) -> bool:
+        """Whether the estimator's process died or was killed, which need not be its own fault."""
+        return isinstance(self.error, LostError)
 
 
 @dataclass(frozen=True, repr=False)
@@ -181,7 +187,7 @@ def outcome_of(
     if drive.recording is None:
         assert drive.problem is not None
         text = f"the world cannot be made: {explained(drive.problem)}"
-        return Outcome(failed_row(scenario, request.name, trial, seed, text), None, details(drive.problem))
+        return Outcome(failed_row(scenario, request.name, trial, seed, text), None, drive.problem)
     recording = drive.recording
     row = failed_row(scenario, request.name, trial, seed, "")
     row |= {"snapshots": len(recording.time_s), "duration_s": metrics.duration_s(recording)}
@@ -193,7 +199,7 @@ def outcome_of(
         result = aligned(recording, result) if align else result
         scores = metrics.score(recording, result, drive.bound)
     except (Exception, SystemExit) as error:
-        return Outcome({**row, "error": explained(error)}, None, details(error), isinstance(error, LostError))
+        return Outcome({**row, "error": explained(error)}, None, error)
     cost = {
         "estimate_seconds": result.estimate_seconds,
         "realtime_factor": row["duration_s"] / result.estimate_seconds,

@@ -43,8 +43,8 @@ SECTIONS = {
         "simulate-from": "a recording of paths that another ray tracer found",
     },
     "look up": {
-        "list": "the scenarios and estimators that are known by name",
-        "show": "every key of a scenario: value, unit, range, meaning",
+        "list": "the scenarios, suites and estimators that are known by name",
+        "show": "the keys of a scenario: value, unit, range, meaning",
         "doctor": "versions, cores, caches and extras on one screen, for a question",
     },
     "maps that drives leave": {"map join": "the maps that several cars left, as one"},

@@ -1,4 +1,4 @@
-"""Progress on stderr: bars on a terminal, elsewhere a line for whatever takes longer than five seconds."""
+"""Progress on stderr: bars on a terminal, in a notebook a line that changes, elsewhere lines for what takes long."""
 
 from __future__ import annotations
 
@@ -11,6 +11,17 @@ from contextlib import contextmanager
 from cellslam.sim.progress import Progress, silent
 
 NOTICED_S = 5.0
+CHANGED_S = 0.5  # how often the line in a notebook changes
+
+
+@contextmanager
+def shown(progress: Progress | bool) -> Iterator[Progress]:
+    """Open what a function of Python was asked to report to: the usual display, none, or one of the caller's own."""
+    if isinstance(progress, bool):
+        with bars(quiet=not progress) as display:
+            yield display
+    else:
+        yield progress
 
 
 @contextmanager
@@ -21,6 +32,8 @@ def bars(quiet: bool) -> Iterator[Progress]:
     elif sys.stderr.isatty():
         with _on_terminal() as progress:
             yield progress
+    elif "ipykernel" in sys.modules:
+        yield _in_notebook
     else:
         yield _in_lines
 
@@ -52,23 +65,50 @@ def _on_terminal() -> Iterator[Progress]:
 
 @contextmanager
 def _in_lines(description: str, total: int) -> Iterator[Callable[[int], None]]:
-    begin, done = time.monotonic(), [0]
+    begin = time.monotonic()
+    with _repeated(NOTICED_S, lambda done: sys.stderr.write(f"{description}: {done} of {total} ...\n"), 1) as advance:
+        yield advance
+    if time.monotonic() - begin > NOTICED_S:
+        sys.stderr.write(f"{description}: {time.monotonic() - begin:.1f} s\n")
+
+
+@contextmanager
+def _in_notebook(description: str, total: int) -> Iterator[Callable[[int], None]]:
+    begin, longest = time.monotonic(), [0]
+
+    def rewrite(done: int) -> None:
+        text = f"{description}: {done} of {total}, {time.monotonic() - begin:.0f} s"
+        longest[0] = max(longest[0], len(text))
+        sys.stderr.write(f"\r{text:{longest[0]}}")
+
+    with _repeated(CHANGED_S, rewrite) as advance:
+        yield advance
+    if longest[0]:
+        sys.stderr.write(f"\r{'':{longest[0]}}\r")
+
+
+@contextmanager
+def _repeated(
+    every_s: float, tell: Callable[[int], object], times: int | None = None
+) -> Iterator[Callable[[int], None]]:
+    """Call `tell` with the number of steps done, again and again (None: to the end) while the body works."""
+    done = [0]
 
     def advance(steps: int) -> None:
         done[0] += steps
 
-    def notice() -> None:
-        if not over.wait(NOTICED_S):
-            sys.stderr.write(f"{description}: {done[0]} of {total} ...\n")
+    def watch() -> None:
+        told = 0
+        while told != times and not over.wait(every_s):
+            tell(done[0])
+            told += 1
 
     over = threading.Event()
-    waiting = threading.Thread(target=notice, daemon=True)
+    watching = threading.Thread(target=watch, daemon=True)
     try:
-        waiting.start()  # Ctrl-C may come here, too
+        watching.start()  # Ctrl-C may come here, too
         yield advance
     finally:
         over.set()
-        if waiting.is_alive():
-            waiting.join()  # a line that comes late would stand in the output of something else
-        if time.monotonic() - begin > NOTICED_S:
-            sys.stderr.write(f"{description}: {time.monotonic() - begin:.1f} s\n")
+        if watching.is_alive():
+            watching.join()  # a line that comes late would stand in the output of something else

@@ -24,18 +24,36 @@ from cellslam.scenarios.suites import scenario_of, suite
 from cellslam.slam import registry
 
 NOT_KEYS = ("name", "title", "description", "facts", "estimator")
-# What authors of estimators, adapters and experiments use besides `cellslam` itself.
-MODULES = {
-    "Poses and frames": "cellslam.sim.frames",
-    "The measurement model": "cellslam.slam.model.measurement_model",
-    "Checks of an estimator": "cellslam.slam.conformance",
-    "Recordings": "cellslam.sim.recording",
-    "Campaigns, for adapters": "cellslam.recordings",
-    "Rays": "cellslam.sim.rays",
-    "Reference signals of LTE": "cellslam.sim.lte",
-    "Reference signals of NR": "cellslam.sim.nr",
-    "Environments": "cellslam.benchmarks.env",
-}
+# The pages of Python: the public names of each, and, with a title, the modules that authors of estimators, adapters and
+# experiments use besides.
+PYTHON: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
+    "running": (
+        ("run", "trial", "TrialView", "replay", "sweep", "SweepView", "results", "summary", "comparison", "InputError"),
+        {},
+    ),
+    "recordings": (
+        ("simulate", "Recording", "plot"),
+        {"Tables of a recording": "cellslam.sim.recording", "Campaigns, for adapters": "cellslam.recordings"},
+    ),
+    "estimators": (
+        ("Estimator", "Setup", "Snapshot", "Estimate", "VtEstimate", "WallEstimate", "estimator_names", "VtMap",
+         "join_maps", "Calibration"),
+        {
+            "Poses and frames": "cellslam.sim.frames",
+            "The measurement model": "cellslam.slam.model.measurement_model",
+            "Checks of an estimator": "cellslam.slam.conformance",
+        },
+    ),
+    "worlds": (
+        ("load", "preset_names", "Scenario", "trace"),
+        {
+            "Rays": "cellslam.sim.rays",
+            "Reference signals of LTE": "cellslam.sim.lte",
+            "Reference signals of NR": "cellslam.sim.nr",
+        },
+    ),
+    "environments": ((), {"Python": "cellslam.benchmarks.env"}),
+}  # fmt: skip
 FACTS = {
     "paths_per_site": "paths per site and snapshot",
     "line_of_sight_share": "line of sight",
@@ -114,14 +132,14 @@ def suites() -> str:
     return "\n".join(_table((f"scenario of `{one.name}`", "drives", "what it is", "what it is for"), rows))
 
 
-def python() -> str:
-    """Return the public Python names, for autodoc to fill."""
+def python(page: str) -> str:
+    """Return the Python names of a page, for autodoc to fill."""
+    names, modules = PYTHON[page]
     lines = []
-    for name in cellslam.__all__:
-        if not name.startswith("__"):
-            lines += [f"### {name}", "", *_autodoc(home(name))]
-    for title, module in MODULES.items():
-        lines += [f"## {title}", "", *_autodoc(module)]
+    for name in names:
+        lines += [f"## {name}", "", *_autodoc(home(name))]
+    for title, module in modules.items():
+        lines += [f"## {title}", "", f"The module `{module}`.", "", *_autodoc(module)]
     return "\n".join(lines)
 
 
@@ -145,7 +163,7 @@ def _parser(name: str) -> argparse.ArgumentParser:
 
 def _autodoc(name: str) -> list[str]:
     """Return the directive for a module, class or function; what stands elsewhere on the page is left out."""
-    if name in MODULES.values():
+    if any(name in modules.values() for _, modules in PYTHON.values()):
         more = ["   :exclude-members: Recording, ReferenceSignal"]
         return ["```{eval-rst}", f".. automodule:: {name}", *more, "```", ""]
     module, _, last = name.rpartition(".")

@@ -9,16 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.described import Described
+from cellslam.sim.described import POSE_COLUMNS, Described, dataframe
 from cellslam.sim.errors import InputError
 from cellslam.sim.plausible import RANGES, Range
-from cellslam.sim.recording.columns import COLUMNS, Column, check_shapes
+from cellslam.sim.recording.columns import COLUMNS, COMPONENTS, Column, check_shapes
 from cellslam.sim.recording.tables import Floats, Ints, Links, Measurements, OdometryModel, Reference, Sites, Truth
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # What each value of a column must fulfil, and what is wrong with one that does not.
 RULES: dict[str, tuple[Callable[[Any], Any], str]] = {
@@ -31,6 +34,7 @@ RULES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "size": (lambda x: x > 0, "is not a size (must be > 0)"),
 }
 _COUNTED = {"S": "sites", "T": "snapshots", "L": "links", "V": "VTs", "N": "vehicles"}
+PLACEHOLDERS = (-9999.0, -99999.0)  # what other programs write for a value that is missing
 TIMES = ("time_s", "truth/vehicles/time_s", "reference/time_s")  # of rows that are in order
 _COMPARED = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db")
 
@@ -99,6 +103,14 @@ class Recording(Described):
         """First measurement row of each snapshot, (T + 1,): snapshot t has rows[t]:rows[t + 1]."""
         return np.searchsorted(self.measurements.snapshot, np.arange(len(self.time_s) + 1)).astype(np.int64)
 
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return a pandas table, a row a snapshot: time_s, of a simulated drive the true pose (x_m, y_m, z_m,
+        yaw_rad, pitch_rad, roll_rad), and the odometry (u_x and so on, in m/s and rad/s).
+        """
+        odometry = dict(zip(COMPONENTS, self.odometry.T, strict=True))
+        pose = {} if self.truth is None else dict(zip(POSE_COLUMNS, self.truth.poses.T, strict=True))
+        return dataframe({"time_s": self.time_s, **pose, **odometry})
+
     def save(self, path: str | Path) -> None:
         """Write the recording to one HDF5 file, atomically. Raises InputError when that is impossible."""
         from cellslam.sim.recording.hdf5 import save
@@ -141,6 +153,9 @@ def _check_values(column: Column, values: NDArray[Any], sizes: Mapping[str, int]
     if column.rule:
         fulfilled, problem = RULES[column.rule]
         _require(fulfilled(values), column.name, problem)
+    if column.rule == "measured":
+        for text in PLACEHOLDERS:
+            _require(values != text, column.name, f"is {text:g}, which stands for a missing value: write NaN")
     for span, part in column.parts(values):
         _check_range(span, part, f"{column.name}, row")
     if column.index:

@@ -7,11 +7,15 @@ Everything is a frozen dataclass of arrays. Estimators see the observable part t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.described import Described
+from cellslam.sim.described import POSITION_COLUMNS, Described, dataframe
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SAME_PLACE_M = 1e-6  # rounding of positions
 Floats = NDArray[np.float64]
@@ -131,6 +135,10 @@ class Measurements(Described):
     def __len__(self) -> int:
         return len(self.snapshot)
 
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return a pandas table, a row a path, with these columns."""
+        return dataframe(vars(self))
+
 
 @dataclass(frozen=True, repr=False)
 class VirtualTransmitters(Described):
@@ -148,6 +156,11 @@ class VirtualTransmitters(Described):
 
     def __len__(self) -> int:
         return len(self.site)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return a pandas table, a row a VT: site, order, x_m, y_m, z_m."""
+        position = dict(zip(POSITION_COLUMNS, self.position_m.T, strict=True))
+        return dataframe({"site": self.site, "order": self.order, **position})
 
 
 @dataclass(frozen=True, repr=False)

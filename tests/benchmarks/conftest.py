@@ -49,7 +49,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.delitem(sys.modules, "misfits", raising=False)
-    tasks.request_of.cache_clear()
+    tasks._request_of.cache_clear()
     (tmp_path / "misfits.py").write_text(MISFITS, "utf-8")
     return tmp_path
 

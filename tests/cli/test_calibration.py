@@ -85,5 +85,5 @@ def test_estimator_in_a_process_of_its_own_takes_and_gives_one(drive: Path, cell
     found = Calibration.load("next.h5")
     np.testing.assert_array_equal(found.covariance, covariance)
     np.testing.assert_array_equal(found.cell, given.cell)
-    assert found.provenance["estimator"] == "owned:Own"
+    assert found.provenance["estimator"] == "own"
     assert cellslam(*own, "--save-calibration", "none.h5").status == 1

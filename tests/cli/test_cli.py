@@ -74,8 +74,8 @@ def test_own_estimators_from_the_current_directory(cellslam: Run, monkeypatch: p
     Path("cli_plugin.py").write_text(PLUGIN)
     done = cellslam("run", "tiny", "--estimator", "cli_plugin:Mine", "--estimator", "cli_plugin:Oracle", "--no-figures")
     assert done.status == 0
-    assert "cli_plugin:Oracle (oracle)" in done.out and "cli_plugin:Mine " in done.out
-    assert Path("results/tiny-0/trajectory-cli_plugin_Mine.tum").exists()
+    assert "cli_plugin:Oracle (oracle)" in done.out and " mine " in done.out
+    assert Path("results/tiny-0/trajectory-mine.tum").exists()
 
 
 @pytest.mark.slow

@@ -57,6 +57,8 @@ def test_show_keeps_the_keys_that_were_asked_for(cellslam: Run) -> None:
     shown = cellslam("show", "tiny", "--set", "radio.load=0.125").out
     assert re.search(r"radio\.load +0\.125 +0 to 1 +share of other cells", shown)
     assert re.search(r"vehicle\.duration_s +[\d.]+ +s +above 0", shown)
+    assert "radio.clutter_scale " not in shown and re.search(r"at their defaults: .*radio \(\d+\)", shown)
+    assert "radio.clutter_scale " in cellslam("show", "tiny", "--all").out
     some = cellslam("show", "tiny", "gyro", "bias").out
     assert "odometry.gyro_bias_deg_per_s" in some and "gyro_noise" not in some
     assert "no key of tiny has phlogiston" in cellslam("show", "tiny", "phlogiston").err

@@ -107,6 +107,26 @@ def test_wrong_files(tmp_path: Path) -> None:
     assert "drive.toml: unknown key 'cty.kind'; did you mean 'city.kind'?" in failure(path)
 
 
+def test_a_file_is_looked_for_beside_the_scenario_and_then_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def found() -> str:
+        scenario = load("places/place.toml")
+        assert scenario.estimator["ekf-slam"]["calibration_file"] == scenario.city.path  # type: ignore[union-attr]
+        return str(scenario.city.path)  # type: ignore[union-attr]
+
+    (tmp_path / "places").mkdir()
+    named = '[estimator.ekf-slam]\ncalibration_file = "town.ply"\n'
+    city = PLACE.replace('kind = "procedural"\nseed = 3', 'kind = "mesh"\npath = "town.ply"')
+    (tmp_path / "places" / "place.toml").write_text(city + named)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "town.ply").touch()
+    assert found() == "town.ply"
+    (tmp_path / "places" / "town.ply").touch()
+    assert found() == "places/town.ply"
+    assert load("places/place.toml", {"city.path": "town.ply"}).city.path == "town.ply"  # type: ignore[union-attr]
+
+
 def test_options_are_validated_by_the_estimators_own_model(place: Path) -> None:
     scenario = load(place)
     (request,) = resolve(scenario.estimator, ["fastslam", "fastslam"])

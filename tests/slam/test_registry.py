@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from cellslam.cli.main import main
+from cellslam.scenarios.estimator_options import resolve
+from cellslam.scenarios.external_options import asking
 from cellslam.sim.errors import InputError
 from cellslam.slam import registry
 
@@ -59,6 +61,23 @@ def plugins(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (info / "entry_points.txt").write_text(ENTRY_POINTS)
     monkeypatch.syspath_prepend(str(folder))
     return folder
+
+
+def test_a_class_is_called_what_itself_says(folder: Path) -> None:
+    said = {"Own": "own", "Same": "mine", "Theirs": "fastslam", "Path": "a/b"}
+    classes = [f"class {name}(Mine): name = {text!r}\n" for name, text in said.items()]
+    (folder / "registry_names.py").write_text(GOOD + "".join(classes) + "class Derived(Mine): pass\n")
+    targets = [f"registry_names:{name}" for name in ("Mine", "Own", "Theirs", "Derived", "Path")]
+    names = ["mine", "own", *targets[2:]]
+    for ask in (None, "asked"):
+        if ask is None:
+            assert [one.name for one in resolve({}, targets)] == names
+        else:
+            with asking() as answer:
+                found = resolve({}, targets, ask=answer)
+            assert [one.name for one in found] == names and [one.target for one in found] == targets
+    with pytest.raises(InputError, match="registry_names:Mine and registry_names:Same are both called 'mine'"):
+        resolve({}, ["registry_names:Mine", "registry_names:Same"])
 
 
 def test_class_from_the_current_directory_which_hides_no_installed_package(folder: Path) -> None:

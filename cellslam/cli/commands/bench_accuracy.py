@@ -44,7 +44,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--write", metavar="FILE.md", help=write_help)
     rows_help = "write the rows of the whole suite: an entry for 'bench leaderboard'"
     parser.add_argument("--rows", metavar="FILE.json", help=rows_help)
-    check_help = "verify an entry instead: drive a sample of its drives again, and compare"
+    check_help = "verify an entry instead: drive a sample of its drives again, and compare; --estimator: whose"
     parser.add_argument("--check", metavar="FILE.json", help=check_help)
     sample_help = "how many drives --check takes, at random (default: 5)"
     parser.add_argument("--sample", metavar="N", type=whole, default=5, help=sample_help)
@@ -95,7 +95,7 @@ def check(arguments: Namespace) -> int:
     path = Path(arguments.check)
     entry = read(path)
     stated = {str(row["key"]): row for row in entry.rows.to_dict("records")}
-    estimators = entry.rows["estimator"].unique().tolist()
+    estimators = registry.expanded(arguments.estimators) or entry.rows["estimator"].unique().tolist()
     one = entry.suite
     each = [one.trials_of(name) for name in one.scenarios]
     made = plan(points_of(one, one.scenarios, estimators), each, one.seed, trajectories=False)

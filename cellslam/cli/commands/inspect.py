@@ -43,7 +43,7 @@ def command(arguments: Namespace) -> None:
     as_json = json.dumps(found, indent=1, allow_nan=False) + "\n" if arguments.json else ""
     sys.stdout.write(as_json or as_text(path, recording, found))
     if not arguments.no_figure:
-        from cellslam.recordings.inspection.inspection import draw
+        from cellslam.recordings.inspection.inspection import plot
 
-        at_once(figure, lambda place: draw(recording, place))
+        at_once(figure, lambda place: plot(recording).savefig(place, format="png"))
         note(arguments, f"figure: {figure}")

@@ -1,4 +1,4 @@
-"""`cellslam list`: the scenarios and estimators that are known by name."""
+"""`cellslam list`: the scenarios, suites and estimators that are known by name."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from rich.table import Table
 
 from cellslam.cli.output import console, plain_table
 from cellslam.scenarios.loading import load, preset_names
+from cellslam.scenarios.suites import SUITES, scenario_of, superseded_by
 from cellslam.slam import registry
 
 EXAMPLES = ("list scenarios",)
@@ -22,15 +23,14 @@ FACTS = {
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    parser.add_argument("kind", nargs="?", choices=("scenarios", "estimators"), help="what to list (default: both)")
+    parser.add_argument("kind", nargs="?", choices=TABLES, help="what to list (default: all)")
 
 
 def command(arguments: Namespace) -> None:
     out = console(PIPE_WIDTH)
-    if arguments.kind != "estimators":
-        out.print(_scenarios())
-    if arguments.kind != "scenarios":
-        out.print(_estimators())
+    for kind, table in TABLES.items():
+        if arguments.kind in (None, kind):
+            out.print(table())
 
 
 def _estimators() -> Table:
@@ -51,3 +51,16 @@ def _scenarios() -> Table:
         facts = (f"{scenario.facts[key]:g}" if key in scenario.facts else "" for key in FACTS)
         table.add_row(scenario.name, escape(scenario.title), *facts)
     return table
+
+
+def _suites() -> Table:
+    latest = next(suite for suite in SUITES.values() if superseded_by(suite) is None)
+    table = plain_table(f"scenario of {latest.name}")
+    table.add_column("what it is")
+    table.add_column("trials", justify="right")
+    for name in latest.scenarios:
+        table.add_row(name, escape(scenario_of(latest, name).title), str(latest.trials_of(name)))
+    return table
+
+
+TABLES = {"scenarios": _scenarios, "suites": _suites, "estimators": _estimators}

@@ -134,7 +134,7 @@ def _draw(world: KnownWorld, seed: int, out: Path) -> None:
 
     if world.city is None or all((out / f"{name}.png").is_file() for name in DRAWN):
         return
-    requests = [loaded(entry.estimator, entry.options) for entry in world.entries]
+    requests = [loaded(entry.estimator, {entry.estimator: entry.options}) for entry in world.entries]
     drive, outcomes = score_trial(lambda: world.simulate(seed, 0), world.name, requests, 0, seed, bounded=False)
     found = {outcome.row["estimator"]: outcome.result for outcome in outcomes if outcome.result is not None}
     if drive.recording is not None and found:

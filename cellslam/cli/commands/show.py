@@ -1,9 +1,10 @@
-"""`cellslam show`: every key of a scenario."""
+"""`cellslam show`: the keys of a scenario."""
 
 from __future__ import annotations
 
 import json
 from argparse import ArgumentParser, Namespace
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
@@ -26,31 +27,37 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.lte.radio_config import is_loaded
 from cellslam.slam import registry
 
-EXAMPLES = ("show tiny", "show lund-530 radio")
+EXAMPLES = ("show tiny", "show lund-530 radio", "show lund-530 --all")
 PIPE_WIDTH, WIDTH_OF_TABLE = 160, 130
+MORE = "`cellslam show {0} WORD` shows those with a word in name or meaning, `cellslam show {0} --all` every key"
 NOT_KEYS = ("name", "title", "description", "facts", "estimator")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     add(parser, "scenario", "--set")
-    only_help = "only keys with all of these in name or meaning, as in: radio noise"
+    only_help = "all keys with all of these in name or meaning, as in: radio noise"
+    all_help = "every key, also those at their defaults"
     load_help = "import the code that the scenario names, too, to show the options of its estimators"
     parser.add_argument("--load", help=load_help, **FLAG)
+    parser.add_argument("--all", dest="every", help=all_help, **FLAG)
     parser.add_argument("only", metavar="WORD", nargs="*", help=only_help)
 
 
 def command(arguments: Namespace) -> None:
     scenario = load(arguments.scenario, parse_all(arguments.sets), code=arguments.load)
     code = {} if arguments.load else _code(scenario)
-    keys = [key for key in _keys(scenario, code) if all(w in f"{key.name} {key.meaning}" for w in arguments.only)]
+    known = [key for key in _keys(scenario, code) if all(w in f"{key.name} {key.meaning}" for w in arguments.only)]
+    keys = known if arguments.every or arguments.only else [key for key in known if key.changed]
     out = console(PIPE_WIDTH)
     out.print(escape(f"{scenario.name}: {scenario.title}\n{scenario.description}".strip()), highlight=False)
-    if not keys:
+    if not known:
         raise InputError(f"no key of {scenario.name} has {' and '.join(arguments.only)} in its name or meaning")
-    if out.width < WIDTH_OF_TABLE:
+    if keys and out.width < WIDTH_OF_TABLE:
         _print_narrow(out, keys)
-    else:
+    elif keys:
         out.print(_wide_table(keys))
+    if len(keys) < len(known):
+        out.print(escape(f"\nat their defaults: {_sections(known)}\n{MORE.format(scenario.name)}"), highlight=False)
     note(arguments, f"not loaded, as it is code: {', '.join(code)}; --load imports it" if code else "")
 
 
@@ -74,7 +81,15 @@ def _keys(scenario: Scenario, code: Mapping[str, str]) -> Iterator[Key]:
     for request in resolve(tables, tuple(names)):
         if isinstance(request.options, BaseModel):
             for key in describe(request.options, f"estimator.{request.name}."):
-                yield replace(key, value=code.get(key.name, key.value))
+                named = key.name in code
+                yield replace(key, value=code[key.name], changed=True) if named else key
+
+
+def _sections(keys: Iterable[Key]) -> str:
+    """Return how many keys of each section are at their defaults. An estimator's options are a section of their own."""
+    parts = (key.name.split(".") for key in keys if not key.changed)
+    counts = Counter(".".join(part[: 2 if part[0] == "estimator" else 1]) for part in parts)
+    return ", ".join(f"{section} ({count})" for section, count in counts.items())
 
 
 def _wide_table(keys: Iterable[Key]) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
@@ -14,7 +15,12 @@ from cellslam.benchmarks.tables.summaries import Layout, comparison, row_keys, s
 from cellslam.cli.arguments import REPEATED, add, number
 from cellslam.sim.errors import InputError
 
-EXAMPLES = ("table load", "table load --interval --format latex", "table load --compare fastslam,ekf-slam")
+EXAMPLES = (
+    "table load",
+    "table load --interval --format latex",
+    "table load --compare fastslam,ekf-slam",
+    "table parts --compare 'fastslam[lag=0],fastslam[lag=5]'",
+)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -26,7 +32,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--statistic", metavar="NAME", dest="statistics", help=statistic_help, **REPEATED)
     interval_help = "with bootstrap intervals of this confidence"
     parser.add_argument("--interval", metavar="PERCENT", type=number, nargs="?", const=95.0, help=interval_help)
-    parser.add_argument("--compare", metavar="A,B", help="paired differences of two estimators on the same worlds")
+    compare_help = "paired differences of two estimators, or variants as fastslam[lag=0], on the same worlds"
+    parser.add_argument("--compare", metavar="A,B", help=compare_help)
 
 
 def command(arguments: Namespace) -> None:
@@ -59,14 +66,15 @@ def _pooled(folder: Path, layout: Layout) -> list[str]:
 
 
 def _compared(arguments: Namespace, folder: Path, rows: tuple[str, ...] | None, confidence: float | None) -> str:
-    first, comma, second = arguments.compare.partition(",")
-    if not (first and comma and second):
+    both = [part.strip() for part in re.split(r",(?![^\[]*\])", arguments.compare)]  # no comma within brackets
+    if len(both) != 2 or not all(both):
         raise InputError(f"--compare '{arguments.compare}': write two estimators, as in fastslam,dead-reckoning")
     if arguments.columns is not None or len(arguments.metrics) > 1 or arguments.statistics:
         raise InputError("--compare goes with --rows, --interval, --format and one --metric")
     metric = arguments.metrics[0] if arguments.metrics else "position_rmse_m"
     share = 0.95 if confidence is None else confidence
-    tidy = comparison(folder, first.strip(), second.strip(), metric, rows, share)
+    first, second = both
+    tidy = comparison(folder, first, second, metric, rows, share)
     columns = list(tidy.columns)
     keys = columns[: columns.index("metric")] if columns else []
     return render(tidy, comparison_grid(tidy, keys, first, second, 100 * share), arguments.format)

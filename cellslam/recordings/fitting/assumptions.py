@@ -89,7 +89,7 @@ def _with(
     """Return the requests with options that all map builders share."""
     mapping = [r.name for r in requests if isinstance(r.options, MeasurementOptions)]
     merged = {name: {**origin.options.get(name, {}), **options} for name in mapping}
-    return _requests({**origin.options, **merged}, [r.name for r in requests], overrides, limit_s)
+    return _requests({**origin.options, **merged}, [r.target for r in requests], overrides, limit_s)
 
 
 def _requests(

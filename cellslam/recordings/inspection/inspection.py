@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +15,9 @@ from cellslam.recordings.importing.campaign import DEVIATIONS, QUANTITIES
 from cellslam.recordings.inspection.suspicions import suspicions
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.recording import COMPONENTS, Ints, Recording, Sites
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DOTS, LINKS = 6000, 16  # of the figure: dots a panel, and rows
 GAP = 5.0  # an interval longer than so many median ones is a gap
@@ -203,9 +206,11 @@ def _reference_lines(f: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def draw(recording: Recording, path: Path) -> None:
-    """Write the figure as PNG; of more than 16 links the first 16, of more than 6000 dots a link some of them."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+def plot(recording: Recording) -> Figure:
+    """Return a figure of what was measured: delay and azimuth of all paths over time, a row of panels for each link.
+
+    Of more than 16 links it has the first 16, of more than 6000 dots a link some of them.
+    """
     from matplotlib.figure import Figure
 
     from cellslam.benchmarks.figures.style import BLUE, WIDTH_IN, context
@@ -214,7 +219,6 @@ def draw(recording: Recording, path: Path) -> None:
     links = max(min(len(r.links), LINKS), 1)
     with context():
         figure = Figure(figsize=(WIDTH_IN, 0.6 + 1.05 * links), dpi=110)
-        FigureCanvasAgg(figure)
         panels = figure.subplots(links, 2, squeeze=False, sharex=True)
         for link in range(links):
             rows = _some(np.flatnonzero(r.measurements.link == link))
@@ -235,7 +239,7 @@ def draw(recording: Recording, path: Path) -> None:
         figure.subplots_adjust(
             left=0.11, right=0.985, top=0.99, bottom=0.42 / (0.6 + 1.05 * links), wspace=0.3, hspace=0.18
         )
-        figure.savefig(path, format="png")
+    return figure
 
 
 def _some(rows: Ints) -> Ints:

@@ -30,7 +30,7 @@ ALL = {"sweep", "error_cdf", "map_error", "error_time", "clock_offset", "nees", 
 def folder(tmp_path: Path, toy_recording: Callable[..., Recording]) -> Path:
     """A sweep over loads with made-up scores, and trajectories of dead reckoning on the toy recording."""
     recording, drawn = toy_recording(), np.random.default_rng(0)
-    result = estimate(recording, request_of("dead-reckoning", "null"), drawn)
+    result = estimate(recording, request_of(Job("", "dead-reckoning", "dead-reckoning", "null")), drawn)
     offsets = {"clock_offset_m": drawn.normal(size=(40, 2)), "clock_offset_variance_m2": np.ones((40, 2))}
     packed = pack(trajectory(recording, dataclasses.replace(result, **offsets), None))
 

@@ -48,7 +48,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (place / "breaks.py").write_text(PLUGIN)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "path", [*sys.path, str(place)])
-        tasks.request_of.cache_clear()
+        tasks._request_of.cache_clear()
         line = ["sweep", "tiny", *SHORT, "--sweep", "radio.load=0.1,1", "--sweep", f"{PARTICLES}=10,40"]
         for name in ("fastslam", "dead-reckoning", "breaks:Breaks"):
             line += ["--estimator", name]
@@ -69,7 +69,7 @@ def test_summary_and_curves_hold_the_medians(folder: Path, said: dict[str, Any])
     lines = {(line["settings"][0], line["label"]): line for line in said["summary"]["lines"]}
     assert len(lines) == 2 * 4
     for (loaded, label), line in lines.items():
-        if label == "breaks:Breaks":
+        if label == "breaks":
             assert (line["ok"], line["all"], set(line["cells"])) == (0, 6, {None})
             continue
         own = ok[(ok["radio.load"] == loaded) & (ok["estimator"] == label.partition(",")[0])]
@@ -139,7 +139,7 @@ def test_sections_show_what_was_estimated(folder: Path, said: dict[str, Any]) ->
     assert len(mine["offset_error"]) == len(mine["offset_std"]) == 2 and len(mine["nees"]) == steps
     assert len(mine["vts"][0]) == len(mine["first"]) > 0
     assert 0 <= min(mine["first"]) <= max(mine["first"]) < steps
-    failed = next(row for row in trial["rows"] if row["label"] == "breaks:Breaks")
+    failed = next(row for row in trial["rows"] if row["label"] == "breaks")
     assert failed["status"] == "failed" and said["failed"]["count"] == 12
     assert "not</b> today" in said["failed"]["rows"][0]["error"]
     assert said["provenance"]["runs"][0]["command"].startswith("cellslam sweep tiny")

@@ -34,7 +34,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr(sys, "path", list(sys.path))
-        tasks.request_of.cache_clear()
+        tasks._request_of.cache_clear()
         assert main(words("misfits:Slow", "dead-reckoning", trials=TRIALS, more=("--executor", "serial"))) == 0
     return rows(folder / "out")
 

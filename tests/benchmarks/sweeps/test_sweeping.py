@@ -49,11 +49,11 @@ def test_what_failed_is_done_again_when_that_is_asked_for(place: Path) -> None:
     assert found["Hangs"]["error"] == "no answer within the time limit of 2 s; alone it was lost again"
     assert found["Exits"]["error"] == "its process ended with exit status 7; alone it was lost again"
     (place / "misfits.py").write_text(MISFITS.replace("NOW = 5", "NOW = -1"))
-    tasks.request_of.cache_clear()
+    tasks._request_of.cache_clear()
     assert main(words(*names, trials=1, more=("--executor", "serial"))) == 1
     assert {row["estimator"].removeprefix("misfits:"): row for row in rows("out")} == found
     assert main(words(*names, trials=1, more=("--executor", "serial", "--retry-failed"))) == 0
-    assert {row["position_rmse_m"] for row in rows("out")} == {found["Good"]["position_rmse_m"]}
+    assert {row["position_rmse_m"] for row in rows("out")} == {found["good"]["position_rmse_m"]}
 
 
 def test_what_is_lost_once_is_done_alone(place: Path) -> None:
@@ -70,7 +70,7 @@ def test_what_is_lost_once_is_done_alone(place: Path) -> None:
 
     with writing(place / "out", "test", {}) as store, Unlucky(Limits(60, 2**31)) as unlucky:
         sweeping.carry_out(made, store, unlucky, lambda *_: None)
-    assert asked == [["misfits:Good", "dead-reckoning"], ["misfits:Good"]]
+    assert asked == [["good", "dead-reckoning"], ["good"]]
     assert {row["estimator"]: row["status"] for row in rows("out")} == dict.fromkeys(asked[0], "ok")
 
 

@@ -117,8 +117,17 @@ def test_paired_differences_are_by_world_and_trial(folder: Path) -> None:
     assert [line["pairs"] for line in got] == [12, 11, 12, 11] and [line["left_out"] for line in got] == [0, 1, 0, 1]
     np.testing.assert_allclose([line["median_difference"] for line in got], [-5.1, -5.3] * 2)
     assert all(line["p_value"] < 0.001 and line["share_below"] == 1 for line in got)
-    with pytest.raises(InputError, match="several options"):
+    with pytest.raises(InputError, match=r"several options.* as fastslam\[particles=\d00\]"):
         comparison(folder, "dead-reckoning", "fastslam")
+    turned = lines(comparison(folder, "dead-reckoning", "fastslam[particles=100]"))
+    assert [line["median_difference"] for line in turned] == [-line["median_difference"] for line in got[::2]]
+    both = lines(comparison(folder, "fastslam[particles=300]", "fastslam[particles=100]"))
+    assert [line["radio.load"] for line in both] == [0.25, 0.5] and "estimator.fastslam.particles" not in both[0]
+    np.testing.assert_allclose([line["median_difference"] for line in both], [-0.2] * 2)
+    with pytest.raises(InputError, match=r"unknown value of estimator.fastslam.particles '200'"):
+        comparison(folder, "fastslam[particles=200]", "dead-reckoning")
+    with pytest.raises(InputError, match=r"unknown option of 'fastslam' that varies 'lag'"):
+        comparison(folder, "fastslam[lag=2]", "dead-reckoning")
     with pytest.raises(InputError, match=r"unknown estimator 'fastslm'; did you mean 'fastslam'"):
         comparison(folder, "fastslm", "dead-reckoning")
 
@@ -145,6 +154,8 @@ def test_formats(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     plain = json.loads(shown(capfd, *words, "--format", "json"))
     assert [(float(a["value"]), float(a["low"])) for a in parsed] == [(b["value"], b["low"]) for b in plain]
     assert len(plain) == 4
+    variants = "fastslam[particles=300],fastslam[particles=100]"
+    assert "| -0.20 |" in shown(capfd, folder, "--compare", variants, "--format", "md")
     compared = shown(capfd, folder, "--compare", "fastslam,dead-reckoning", "--format", "md")
     assert "| -5.10 | -5.10 to -5.10 |" in compared and "Wilcoxon" in compared
 

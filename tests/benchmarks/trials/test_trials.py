@@ -172,7 +172,8 @@ def test_any_error_in_the_world_of_any_trial_costs_that_trial(monkeypatch: pytes
         return real(scenario, seed, trial, **more) if trial == 1 else 1 // 0
 
     monkeypatch.setattr(trials, "simulate", simulate)
-    frame = run("tiny", ["dead-reckoning", "fastslam"], 2, overrides={**SET, "estimator.fastslam.particles": 5})
+    overrides = {**SET, "estimator.fastslam.particles": 5}
+    frame = run("tiny", ["dead-reckoning", "fastslam"], 2, overrides=overrides, on_error="row")
     assert frame["status"].tolist() == ["failed", "failed", "ok", "ok"]
     for error in frame["error"][:2]:
         assert error.startswith("the world cannot be made: ZeroDivisionError") and "\n" not in error

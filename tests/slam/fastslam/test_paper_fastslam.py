@@ -202,7 +202,7 @@ def test_resampling_copies_particles_with_their_maps() -> None:
 
 
 def scores_of(recording: Recording, **options: Any) -> dict[str, Any]:
-    request = loaded("paper-fastslam", options)
+    request = loaded("paper-fastslam", {"paper-fastslam": options})
     warm_up(request)
     return scored(recording, estimate(recording, request, np.random.default_rng(0)), None)
 
