@@ -23,6 +23,7 @@ from cellslam.cli.arguments import DONE
 from cellslam.python_api import replay
 from cellslam.recordings import build
 from cellslam.sim.errors import InputError
+from cellslam.sim.progress import silent
 from tools.foreign_batch import batch_rmse
 from tools.foreign_drives import world
 
@@ -75,7 +76,7 @@ def result(number: int, names: Sequence[str], fit: bool | None) -> Result:
     """Return what estimators `names` make of a world."""
     drawn = world(number)
     recording = build(drawn.campaign)
-    rows = replay(recording, (*names, ALONE), 0, fit=fit).set_index("estimator")
+    rows = replay(recording, (*names, ALONE), 0, fit=fit, progress=silent).set_index("estimator")
     failed = rows[rows["status"] != "ok"]
     for name, row in failed.iterrows():
         print(f"{number}: {name} failed: {row['error']}")
