@@ -19,7 +19,7 @@ from cellslam.benchmarks.trials.trials import (
     score_trial,
     simulated_trials,
 )
-from cellslam.cli.progress_bars import shown
+from cellslam.progress_bars import shown
 from cellslam.recordings.fitting.assumptions import assumed
 from cellslam.scenarios import external_options
 from cellslam.scenarios.recording_origin import TECHNOLOGY, Origin

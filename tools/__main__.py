@@ -14,6 +14,7 @@ TOOLS = {
     "front-end": "what the path estimator finds, how well, and how fast",
     "calibrate": "the constants of the statistical front end from the signal level, or their check",
     "monte-carlo": "time sweeps: rates, overhead, tables",
+    "stages": "seconds of a core by stage of a drive, of two checkouts in turn",
     "shards": "a sweep in shards that are killed and done twice, against the same in one",
     "fastslam": "what FastSLAM costs by particles, states and groups, beside its ratio to the bound",
     "foreign-worlds": "map builders on worlds that nobody modelled, beside a batch solution",

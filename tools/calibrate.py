@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cellslam.cli.arguments import DONE
-from cellslam.cli.progress_bars import bars
+from cellslam.progress_bars import bars
 from cellslam.sim.errors import InputError
 from tools.studies_tables import print_studies
 

@@ -7,7 +7,7 @@ import sys
 from argparse import ArgumentParser, Namespace
 
 from cellslam.cli.arguments import DONE
-from cellslam.cli.progress_bars import bars
+from cellslam.progress_bars import bars
 from cellslam.sim.errors import InputError
 from tools.studies_tables import print_studies
 

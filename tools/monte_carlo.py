@@ -23,7 +23,7 @@ from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.child_process import shares
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, check_counts
 from cellslam.cli.arguments import DONE, SET_HELP, add, whole
-from cellslam.cli.progress_bars import bars
+from cellslam.progress_bars import bars
 from cellslam.scenarios import sweep_points as sweeps
 from cellslam.scenarios.overrides import parse_all
 from cellslam.sim.errors import InputError

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from cellslam.cli.arguments import DONE, whole
 from cellslam.cli.cities import find_city
-from cellslam.cli.progress_bars import bars
+from cellslam.progress_bars import bars
 from cellslam.sim.city import City
 from cellslam.sim.city.files.mitsuba import DISTRIBUTION, shipped_scene
 from cellslam.sim.errors import InputError

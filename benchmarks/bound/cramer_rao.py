@@ -19,6 +19,7 @@ and m, the error of the mean of the filter that has this covariance:
                  m <- m + G^T L^-1 (residual - H m)                                            `_update`
     leaving      rows and columns of what is not met again are left out, which is exact        `Joint.only`
     bound        pose_covariance = P_rr after each snapshot; horizontal: sqrt(P_xx + P_yy)
+    map          of a VT: sqrt(trace P_vv)                                                        `_map_bound`
 
 Source: Tichavsky, Muravchik and Nehorai, "Posterior Cramer-Rao bounds for discrete-time nonlinear filtering", IEEE
 Trans. Signal Processing 46(5), 1998, in covariance form, as the odometry noise is singular.
@@ -32,10 +33,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.linalg.blas import dgemm
+from scipy.linalg.blas import dgemm, dtrsm
 from threadpoolctl import threadpool_limits
 
 from cellslam.benchmarks.bound.linear_model import NEVER, Core, Drive, linear_model
+from cellslam.benchmarks.bound.products_kernel import Sparse, times
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
@@ -45,7 +47,25 @@ if TYPE_CHECKING:
     from cellslam.sim.lte.persisting_errors import Cause
 
 SMALLEST_SCALE = 1e-6  # s of a state: before it is smaller P takes it over, or 1 / s^2 would drown the rest
-IDLE = 0.1  # share of states that nothing meets any more, from which on they are taken out: to copy P takes time
+LOOKS = 20  # from so many on, a VT counts in the map's bound over time
+EVERY = 10  # snapshots from one value of the map's bound to the next
+ROUNDING = 1e-14  # of a matrix's trace, that its eigenvalues can be wrong by
+IDLE = 0.03  # share of states that nothing meets any more, from which on they are taken out: to copy P takes time
+
+
+@dataclass(frozen=True, repr=False)
+class MapBound(Described):
+    """Bound of the V true VTs at the end of a drive: `std_m` (V,), root of the trace of the position's covariance, NaN
+    of VTs that were not seen; `error` (V, 3), estimate less truth in m of the filter that is linear about the truth.
+
+    `looks` (V,): in how many snapshots each was seen. `over_time_m` (T,): root mean square of the bound over the VTs
+    that have been seen at least `LOOKS` times by then, NaN before there is one.
+    """
+
+    std_m: Floats
+    error: Floats
+    looks: Ints
+    over_time_m: Floats
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,13 +75,14 @@ class BoundResult(Described):
     `pose_covariance` (T, 6, 6) in metres and radians; `clock_offset_std_m` (T, S); `pose_error` (T, 6): estimate less
     truth, on this drive, of the filter that is linear about the truth and has these covariances (`linear_model`).
     `merged_m`: the bound of the drive's horizontal error with what merging does as an error that persists, None where
-    few measurements are merged (`merged_paths`).
+    few measurements are merged (`merged_paths`). `map`: the bound of the VTs.
     """
 
     pose_covariance: Floats
     clock_offset_std_m: Floats
     pose_error: Floats
     merged_m: float | None = None
+    map: MapBound | None = None
 
     @property
     def horizontal_std_m(self) -> Floats:
@@ -130,6 +151,7 @@ def recursion(
     pose, offset, error = np.zeros((count, 6, 6)), np.zeros((count, len(core.offsets))), np.zeros((count, 6))
     joint = NOTHING.with_more(np.arange(core.size), motion.jump[0], np.diag(motion.start))
     joint = joint.with_more(known.states, known.m, known.P)
+    looks, over_time = _looks(drive, core), np.full(count, np.nan)
     survey, new = drive.survey, ~np.isin(drive.survey.state, known.states)  # a known map has it in
     joint = joint.with_more(survey.state[new], survey.error[new], np.diag(survey.variance[new]))
     with progress("Cramer-Rao bound", count) as advance:
@@ -139,13 +161,42 @@ def recursion(
             joint = _measure(joint, drive, t)
             pose[t], error[t] = joint.P[:6, :6], joint.m[:6]
             offset[t] = joint.P[core.offsets, core.offsets]
+            over_time[t] = (
+                _rms(_map_bound(joint, drive, core)[0][looks[t] >= LOOKS]) if t % EVERY == 0 else over_time[t - 1]
+            )
             last = drive.states.last[joint.states]
             gone = (last != NEVER) & (last <= t)
             if gone.mean() > IDLE:
                 joint = joint.only(np.flatnonzero(~gone))
             advance(1)
     vts = (joint.states >= core.size) & (drive.states.last[joint.states] == NEVER)
-    return BoundResult(pose, np.sqrt(np.maximum(offset, 0.0)), error), joint.only(np.flatnonzero(vts))
+    of_map = MapBound(*_map_bound(joint, drive, core), looks[-1], over_time)
+    return BoundResult(pose, np.sqrt(np.maximum(offset, 0.0)), error, map=of_map), joint.only(np.flatnonzero(vts))
+
+
+def _map_bound(joint: Joint, drive: Drive, core: Core) -> tuple[Floats, Floats]:
+    """Return the bounds (V,) in m of the true VTs, NaN of those that are not there, and the errors (V, 3) of the mean;
+    VTs do not fade, so that their scale is 1."""
+    place = np.full(len(drive.states.last), -1)
+    place[joint.states] = np.arange(len(joint.states))
+    at = place[core.size + 3 * drive.vts[:, None] + np.arange(3)]
+    there = at >= 0
+    variance = np.where(there, joint.P[at, at], np.nan).sum(axis=1)
+    return np.sqrt(variance), np.where(there, joint.m[at], np.nan)
+
+
+def _looks(drive: Drive, core: Core) -> Ints:
+    """Return in how many snapshots (T, V) each true VT has been seen by the end of each."""
+    s, vt = drive.sightings, (drive.views.state[:, 0, 0] - core.size) // 3
+    snapshot = np.zeros(len(vt), np.int64)
+    snapshot[s.view_of] = np.repeat(np.arange(len(s.rows) - 1), np.diff(s.rows))
+    seen = np.zeros((len(s.rows) - 1, int(max(drive.vts.max(initial=-1), vt.max(initial=-1))) + 1), np.int32)
+    seen[snapshot, vt] = 1
+    return np.asarray(seen.cumsum(axis=0)[:, drive.vts], np.int64)
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
 
 
 def _predict(joint: Joint, drive: Drive, t: int) -> Joint:
@@ -163,26 +214,24 @@ def _predict(joint: Joint, drive: Drive, t: int) -> Joint:
         P *= scale[:, None] * scale
         m *= scale
         scale = np.ones(len(a))
-    P[np.diag_indices(len(a))] += (1.0 - a**2) / scale**2
+    np.einsum("ii->i", P)[:] += (1.0 - a**2) / scale**2
     return replace(joint, scale=scale)
 
 
 def _measure(joint: Joint, drive: Drive, t: int) -> Joint:
     """Return the states after the measurements of snapshot t."""
-    views, s = drive.views, drive.sightings
+    s = drive.sightings
     rows = np.arange(s.rows[t], s.rows[t + 1])
     if not len(rows):
         return joint
-    first = s.first[rows]
-    met = np.append(views.state[s.view_of[rows], :, 3:], s.state[rows])  # beside VTs, which measurements give birth to
-    there = np.zeros(len(drive.states.last) + 1, np.bool_)
-    there[joint.states] = there[-1] = True  # the last is that of none
-    new = np.unique(met[~there[met]])
+    first, new = s.first[rows], drive.states.entering(t)
     if len(new):
         joint = joint.with_more(new, np.zeros(len(new)), np.eye(len(new)))
     if first.any():
         joint = _give_births(joint, drive, rows[first])
-    _update(joint, drive, rows, np.isfinite(s.variance[rows]) & ~first[:, None])
+    measured = np.isfinite(s.variance[rows]) & ~first[:, None]
+    if measured.any():
+        _update(joint, drive, rows, measured)
     return joint
 
 
@@ -191,31 +240,32 @@ class Loads:
     """The matrix H (k, n) of k components. Measurements of one view share its loads: H is rows `of` (k,) of what is
     `shared` (v, n), with the `load` (k,) of each component on a state `own` (k,) to it."""
 
-    shared: Floats
+    shared: Sparse
     of: Ints
     own: Ints
     load: Floats
 
     def __matmul__(self, x: Floats) -> Floats:
-        """Return H x, for x (n,) or (n, l)."""
-        product: Floats = (self.shared @ x)[self.of] + (self.load * x[self.own].T).T
+        """Return H x^T (k, l), for x (l, n), whose columns are added up."""
+        product: Floats = times(self.shared, x)[self.of] + self.load[:, None] * x[:, self.own].T
         return product
 
 
 def _loads(joint: Joint, drive: Drive, rows: Ints, chosen: NDArray[np.bool_]) -> Loads:
     """Return H of the `chosen` (k, 3) components of measurements `rows` (k,); what is not there has no load."""
-    views, s, n = drive.views, drive.sightings, len(joint.states)
-    place = np.full(len(drive.states.last) + 1, n)
+    views, s = drive.views, drive.sightings
+    place, n = np.full(len(drive.states.last) + 1, -1), len(joint.states)
     place[joint.states] = np.arange(n)
-    seen = slice(s.view_of[rows[0]], s.view_of[rows[-1]] + 1)
-    state, load = (x[seen].reshape(-1, x.shape[-1]) for x in (views.state, views.load))
-    shared = np.zeros((len(state), n + 1))
-    shared[np.arange(len(state))[:, None], place[state]] = load
-    of = 3 * (s.view_of[rows, None] - seen.start) + np.arange(3)
-    state = s.state[rows][chosen]
-    own = np.where(state >= 0, place[state], 0)
-    by_own: Floats = np.where(state >= 0, np.broadcast_to(s.load, chosen.shape)[chosen] * joint.scale[own], 0.0)
-    return Loads(shared[:, :n] * joint.scale, of[chosen], own, by_own)
+    scale = np.append(joint.scale, 0.0)
+    first, last = s.view_of[rows[0]], s.view_of[rows[-1]]
+    begin = views.rows.begin[3 * first : 3 * last + 4]
+    entries = slice(begin[0], begin[-1])
+    column = place[views.rows.column[entries]]
+    shared = Sparse(begin - begin[0], column, views.rows.load[entries] * scale[column])
+    of = 3 * (s.view_of[rows, None] - first) + np.arange(3)
+    own = place[s.state[rows][chosen]]
+    by_own: Floats = np.broadcast_to(s.load, chosen.shape)[chosen] * scale[own]
+    return Loads(shared, of[chosen], own, by_own)
 
 
 def _give_births(joint: Joint, drive: Drive, rows: Ints) -> Joint:
@@ -225,22 +275,25 @@ def _give_births(joint: Joint, drive: Drive, rows: Ints) -> Joint:
     """
     s, H = drive.sightings, _loads(joint, drive, rows, np.ones((len(rows), 3), np.bool_))
     D = block_diag(*np.linalg.inv(drive.views.by_vt[s.view_of[rows]]))
-    HP = H @ joint.P.T
-    P_v = D @ (H @ HP.T + np.diag(s.variance[rows].ravel())) @ D.T
+    HP = H @ joint.P
+    P_v = D @ (H @ HP + np.diag(s.variance[rows].ravel())) @ D.T
     v = (s.vt[rows, None] + np.arange(3)).ravel()
-    return joint.with_more(v, D @ (s.residual[rows].ravel() - H @ joint.m), P_v, -D @ HP)
+    return joint.with_more(v, D @ (s.residual[rows].ravel() - (H @ joint.m[None])[:, 0]), P_v, -D @ HP)
 
 
 def _update(joint: Joint, drive: Drive, rows: Ints, measured: NDArray[np.bool_]) -> None:
     """Take the `measured` (k, 3) components of measurements `rows` (k,) in, whose white errors have variances R.
 
-    With R^-1/2 H P H^T R^-1/2 = V diag(l) V^T the root is L = R^1/2 V diag(1 + l)^1/2. Rounding apart, no innovation
-    varies by less than its measurement: no l is negative.
+    H, residual and S are divided by the roots of R: S is 1 + H P H^T, whose eigenvalues are 1 or more, but for what the
+    largest of them is rounded by. So much is added before S is factored, by Cholesky.
     """
     s, H = drive.sightings, _loads(joint, drive, rows, measured)
-    HP, root = H @ joint.P.T, np.sqrt(s.variance[rows][measured])
-    eigenvalue, V = np.linalg.eigh((H @ HP.T) / root / root[:, None])
-    L_inverse = V.T / np.sqrt(1.0 + np.maximum(eigenvalue, 0.0))[:, None] / root
-    G = L_inverse @ HP
-    dgemm(-1.0, G, G, beta=1.0, c=joint.P, trans_a=1, overwrite_c=1)
-    joint.m[:] += (L_inverse @ (s.residual[rows][measured] - H @ joint.m)) @ G
+    root = np.sqrt(s.variance[rows][measured])
+    HP = (H @ joint.P) / root[:, None]
+    S = (H @ HP) / root[:, None]
+    S[np.diag_indices(len(S))] += 1.0 + ROUNDING * np.trace(S)
+    L = np.linalg.cholesky(S)
+    G = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1)  # transposed, (n, k), as BLAS has it
+    dgemm(-1.0, G, G, beta=1.0, c=joint.P, trans_b=1, overwrite_c=1)
+    innovation = (s.residual[rows][measured] - (H @ joint.m[None])[:, 0]) / root
+    joint.m[:] += G @ dtrsm(1.0, L, innovation[:, None], lower=1)[:, 0]

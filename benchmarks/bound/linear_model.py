@@ -13,12 +13,14 @@ bound computation for deterministic nonlinear systems", IEEE Trans. Automatic Co
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.benchmarks.bound.persisting_states import Seen, persisting_errors
+from cellslam.benchmarks.bound.products_kernel import Sparse
 from cellslam.sim.frames import held, integrate_pose, mean_velocity, pose_jacobians, wrap_angle
 from cellslam.sim.recording import Floats, Ints, OdometryModel, Recording, Sites, Truth
 from cellslam.slam.model.measurement_model import jacobians, predict
@@ -58,12 +60,20 @@ class Motion(NamedTuple):
     jump: Floats
 
 
-class Views(NamedTuple):
+@dataclass(frozen=True)
+class Views:
     """What all links share that see a VT in a snapshot, n views: loads of distance, azimuth and elevation on states,
     `state` (n, 3, W) numbers, -1: none, `load` (n, 3, W). The VT's coordinates come first: `by_vt` (n, 3, 3)."""
 
     state: Ints
     load: Floats
+
+    @cached_property
+    def rows(self) -> Sparse:
+        """The loads as a sparse matrix, a row for each component of each view, a column for each state."""
+        there = self.state >= 0
+        begin = np.concatenate([[0], np.cumsum(there.sum(axis=2).ravel())])
+        return Sparse(begin, self.state[there], self.load[there])
 
     @property
     def by_vt(self) -> Floats:
@@ -99,22 +109,29 @@ class Survey(NamedTuple):
 
 
 class States(NamedTuple):
-    """All K states: `last` (K,) snapshot that meets it; `kind` (K,): column of `decay` (T, 4), the factor of
-    first-order Gauss-Markov states of unit variance from a snapshot to the next (column 0: constants)."""
+    """All K states: `first` (K,) snapshot that meets an error that persists (NEVER: another state), `last` (K,) of all;
+    `kind` (K,): column of `decay` (T, 4), the factor of first-order Gauss-Markov states of unit variance from a
+    snapshot to the next (column 0: constants)."""
 
+    first: Ints
     last: Ints
     kind: Ints
     decay: Floats
 
+    def entering(self, t: int) -> Ints:
+        """Return the errors that persist that snapshot t meets first."""
+        return np.flatnonzero(self.first == t)
+
 
 class Drive(NamedTuple):
-    """The linear model of a drive."""
+    """The linear model of a drive; `vts` (V,): the number of each true VT."""
 
     motion: Motion
     views: Views
     sightings: Sightings
     states: States
     survey: Survey
+    vts: Ints
 
 
 def linear_model(
@@ -132,7 +149,7 @@ def linear_model(
         number, numbers = np.arange(len(truth.vts)), len(truth.vts)
     views, sightings, states = tracked_measurements(recording, truth, core, number, numbers, calibrated, merging)
     survey = survey_of(recording.sites, truth, core, number)
-    return core, Drive(motion_of(recording, truth, core), views, sightings, states, survey)
+    return core, Drive(motion_of(recording, truth, core), views, sightings, states, survey, number)
 
 
 # ---- the core --------------------------------------------------------------------------------------------------------
@@ -303,11 +320,10 @@ def tracked_measurements(
         residual=residual,
         state=np.where(persisting.own_state >= 0, errors + persisting.own_state, -1), load=persisting.own_load,
     )  # fmt: skip
-    last = np.full(errors, NEVER)
-    # Sorted by snapshot: of several values for one state the last stays.
-    last[sightings.vt[:, None] + np.arange(3)] = snapshot[:, None]
+    # VTs stay to the end: their own bound is asked for.
     states = States(
-        last=np.concatenate([last, persisting.last]),
+        first=np.concatenate([np.full(errors, NEVER), persisting.first]),
+        last=np.concatenate([np.full(errors, NEVER), persisting.last]),
         kind=np.concatenate([np.zeros(errors, np.int64), persisting.kind]),
         decay=persisting.decay,
     )

@@ -47,14 +47,15 @@ class Persisting:
     """The E errors that persist, and the loads on them of n views, `state` and `load` (n, 3, W), and of m measurements,
     `own_state` (m, 3) and `own_load` (3,): numbers of errors, -1: none.
 
-    `last` (E,): snapshot with the last use; `kind` (E,): column of `decay` (T, 4), see `linear_model.States`;
-    `variance` (3,): the marginal variances of what persists.
+    `first`, `last` (E,): snapshots with the first and the last use; `kind` (E,): column of `decay` (T, 4), see
+    `linear_model.States`; `variance` (3,): the marginal variances of what persists.
     """
 
     state: Ints
     load: Floats
     own_state: Ints
     own_load: Floats
+    first: Ints
     last: Ints
     kind: Ints
     decay: Floats
@@ -123,14 +124,15 @@ def persisting_errors(
     load = np.concatenate([part.load for part in parts], axis=2)
     state = np.where(load != 0.0, state, -1)
     own_state = np.where((own.state >= 0) & (own.load > 0.0), base[-1] + own.state, -1)
-    last = np.zeros(base[-1] + own.count, np.int64)
-    # Sorted by snapshot: of several values for one state the last stays.
-    last[state[state >= 0]] = np.broadcast_to(seen.snapshot[:, None, None], state.shape)[state >= 0]
-    at = seen.snapshot[seen.view_of]
-    last[own_state[own_state >= 0]] = np.broadcast_to(at[:, None], own_state.shape)[own_state >= 0]
+    first, last = np.full((2, base[-1] + own.count), -1)
+    for states, at in ((state, seen.snapshot[:, None, None]), (own_state, seen.snapshot[seen.view_of, None])):
+        there = states >= 0
+        met, when = states[there], np.broadcast_to(at, states.shape)[there]
+        # Sorted by snapshot: of several values for one state the last stays.
+        last[met], first[met[::-1]] = when, when[::-1]
     variance = np.zeros(3) if config is None else persisting_std(config) ** 2
     kind = np.repeat([part.kind for part in [*parts, own]], [part.count for part in [*parts, own]])
-    return Persisting(state, load, own_state, own.load, last, kind, decay, variance)
+    return Persisting(state, load, own_state, own.load, first, last, kind, decay, variance)
 
 
 def _factor(step: Floats, scale: float) -> Floats:

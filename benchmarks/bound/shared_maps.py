@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cellslam.benchmarks.bound.cramer_rao import NOTHING, BoundResult, recursion
-from cellslam.benchmarks.bound.linear_model import NEVER, linear_model
+from cellslam.benchmarks.bound.linear_model import linear_model
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Recording
 
@@ -33,11 +33,9 @@ def shared_map_bounds(recordings: Sequence[Recording], calibrated: bool = False)
     for recording, own in zip(recordings, numbers, strict=True):
         with threadpool_limits(1):
             core, drive = linear_model(recording, calibrated, number=own, numbers=len(every))
-            s, last = drive.sightings, drive.states.last.copy()
-            last[: core.size + 3 * len(every)] = NEVER
+            s = drive.sightings
             s = s._replace(first=s.first & ~np.isin(s.vt, known.states))
-            drive = drive._replace(sightings=s, states=drive.states._replace(last=last))
-            result, known = recursion(core, drive, known)
+            result, known = recursion(core, drive._replace(sightings=s), known)
         yield result
 
 

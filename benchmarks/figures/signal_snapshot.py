@@ -46,7 +46,7 @@ def draw_snapshot(world: World, number: int, link: int | None, out: Path) -> lis
     lines = []
     for axis, one in zip(axes, shown, strict=False):
         spectrum = Spectrum(
-            signals.receiver.fitted.of(signals.samples(one, received, slots)), signals.receiver.moving(velocity)
+            signals.receiver.at_distances(signals.samples(one, received, slots)), signals.receiver.moving(velocity)
         )
         spectrum.evaluate()
         site = int(signals.links.site[one])

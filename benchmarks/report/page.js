@@ -101,6 +101,13 @@ function ranksPicture() {
       + " distinguish. Pairs are compared by Wilcoxon's signed-rank test, corrected for all pairs by Holm's method, at 5 %."));
 }
 
+function stanfordPicture() {
+  const picture = make("img", { src: data.integrity, alt: "protection level against error, an estimator a panel" });
+  part("integrity").append(make("div", { class: "scroll", tabindex: "0" }, picture),
+    make("p", { class: "note" }, "Every snapshot: above the diagonal the protection level holds, below it the estimator misleads. Orange: the"
+      + " alert limit; red: hazardous. A drive is one sample: cellslam integrity has limits over independent drives."));
+}
+
 function failedTable() {
   const { count, rows } = data.failed;
   if (!count) {
@@ -145,7 +152,7 @@ function contents() {
 }
 
 // What a section needs of the content; without it the section is not there.
-const NEEDS = { summary: data.summary, ranks: data.ranks, sweep: data.curves?.length, distributions: data.panels,
+const NEEDS = { summary: data.summary, ranks: data.ranks, integrity: data.integrity, sweep: data.curves?.length, distributions: data.panels,
   trials: data.trials.length, failed: data.failed, provenance: data.provenance };
 for (const [id, needed] of Object.entries(NEEDS)) part(id).hidden = !needed;
 const fill = (id, how) => part(id).hidden || how();
@@ -153,6 +160,7 @@ const fill = (id, how) => part(id).hidden || how();
 part("trials").querySelector("h2").textContent = data.heading;
 fill("summary", summaryTable);
 fill("ranks", ranksPicture);
+fill("integrity", stanfordPicture);
 fill("failed", failedTable);
 fill("provenance", provenanceText);
 contents();

@@ -38,7 +38,7 @@ def content(recording: Recording, result: TrialResult) -> dict[str, Any]:
     """Return what the page shows. A path is drawn from the estimated pose to where its distance, less the estimated
     clock offset, and its angles point."""
     steps = _steps(recording)
-    world = _world(recording)
+    world = world_of(recording)
     scene, city = scene_of(world, steps) if world is not None else (_bare(recording, result, steps), None)
     scene |= {"measured": [_measured(recording, result, int(t)) for t in steps], "city": "city" if city else None}
     length, name = np.ptp(recording.time_s), result.estimator
@@ -67,7 +67,7 @@ def _steps(recording: Recording) -> Ints:
     return np.unique(np.clip(np.searchsorted(recording.time_s, even), 0, len(recording.time_s) - 1))
 
 
-def _world(recording: Recording) -> World | None:
+def world_of(recording: Recording) -> World | None:
     """Return the world that a recording was simulated in, made again; None for others, or where it comes out otherwise
     than it was."""
     from cellslam.scenarios.recording_origin import Origin

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from cellslam.benchmarks.figures.style import context, estimator_styles
+from cellslam.benchmarks.figures.style import Drawing, context, estimator_styles
 from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
+from cellslam.benchmarks.figures.sweep.stanford_diagram import draw_stanford
 from cellslam.benchmarks.figures.sweep.sweep_data import (
     CurveChoice,
     Series,
@@ -32,14 +33,14 @@ from cellslam.benchmarks.sweeps.rows import oracles, provenance
 from cellslam.benchmarks.sweeps.store import reading
 from cellslam.benchmarks.tables.formats import Column, columns_of
 from cellslam.benchmarks.tables.rankings import significant_pairs
-from cellslam.benchmarks.tables.summaries import CONFIDENCE, EFFICIENCY, estimate
+from cellslam.benchmarks.tables.summaries import CONFIDENCE, RATIOS, estimate
 from cellslam.sim.progress import Progress
 
 MOST_POINTS_OF_CURVES = 400
 MOST_PANELS = 24
 PLOTTED = {key: metric for key, metric in METRIC.items() if metric.axis}
 MORE_DIGITS = 1  # than in tables: figures are looked into
-COLUMNS = columns_of("report", (*METRIC_KEYS, EFFICIENCY))
+COLUMNS = columns_of("report", (*METRIC_KEYS, *RATIOS))
 
 
 def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
@@ -60,6 +61,7 @@ def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
         ],
         "summary": _summary(data),
         "ranks": _ranks(data),
+        "integrity": _image(lambda figure: draw_stanford(figure, data)),
         "curves": _curves(data),
         "panels": _distributions(data),
         "columns": {metric: _heading(metric, known.heading) for metric, known in METRIC.items()},
@@ -86,7 +88,7 @@ def _summary(data: SweepData) -> dict[str, Any]:
             lines.append({"settings": settings, "label": one.label, "cells": cells, "ok": ok, "all": len(one.rows)})
     headings = []
     for column in COLUMNS:
-        over = "" if column.metric == EFFICIENCY else f"; {column.statistic} over trials"
+        over = "" if column.metric in RATIOS else f"; {column.statistic} over trials"
         headings.append(_heading(column.metric, column.name) | {"title": METRIC[column.metric].meaning + over})
     empty = [i for i in range(len(COLUMNS)) if all(line["cells"][i] is None for line in lines)]
     for line in lines:
@@ -98,21 +100,29 @@ def _cell(one: Series, column: Column) -> list[float | None] | None:
     """Return value and ends of the interval; None where no trial has the metric."""
     fine = one.rows[one.rows["status"] == "ok"]
     found = estimate(fine, column.metric, column.statistic, CONFIDENCE if column.interval else None)
-    digits = METRIC[column.metric].digits + (MORE_DIGITS if column.metric != EFFICIENCY else 0)
+    digits = METRIC[column.metric].digits + (MORE_DIGITS if column.metric not in RATIOS else 0)
     return None if np.isnan(found[0]) else list(rounded(found, digits))
 
 
 def _ranks(data: SweepData) -> dict[str, Any] | None:
-    """Return the diagram of mean ranks as an SVG in a data URI, and how many pairs of each panel differ."""
+    """Return the diagram of mean ranks, and how many pairs of each panel differ."""
     judged = verdicts_of(data)
+    image = _image(lambda figure: draw_ranks(figure, judged))
+    if image is None:
+        return None
+    pairs = [f"{title}: {significant_pairs(one)}" if title else significant_pairs(one) for title, one in judged.items()]
+    return {"image": image, "significant_pairs": pairs}
+
+
+def _image(drawing: Drawing) -> str | None:
+    """Return a figure as an SVG in a data URI; None where it does not apply."""
     with context():
         figure = Figure(layout="constrained")
-        if not draw_ranks(figure, judged):
+        if not drawing(figure):
             return None
         drawn = BytesIO()
         figure.savefig(drawn, format="svg", metadata={"Date": None})
-    pairs = [f"{title}: {significant_pairs(one)}" if title else significant_pairs(one) for title, one in judged.items()]
-    return {"image": f"data:image/svg+xml;base64,{b64encode(drawn.getvalue()).decode()}", "significant_pairs": pairs}
+    return f"data:image/svg+xml;base64,{b64encode(drawn.getvalue()).decode()}"
 
 
 def _curves(data: SweepData) -> list[dict[str, Any]]:

@@ -134,18 +134,24 @@ def vt_nees(recording: Recording, vts: VtEstimate, association: Ints) -> Floats:
     association (M,): id of the VT of each measurement, -1 none; ids count per site. Dimensionless; its mean is 3 where
     the covariances are right. Raises ValueError without truth.
     """
+    truth, out = recording.truth, np.full(len(vts.id), np.nan)
+    for row, vt in enumerate(stand_for(recording, vts, association).tolist()):
+        if truth is not None and vt >= 0:
+            error, claimed = vts.position_m[row] - truth.vts.position_m[vt], vts.covariance[row]
+            if np.linalg.det(claimed) > 0.0:
+                out[row] = error @ np.linalg.solve(claimed, error)
+    return out
+
+
+def stand_for(recording: Recording, vts: VtEstimate, association: Ints) -> Ints:
+    """Return which true VT each final one (V,) stands for, -1: none; arguments and error as of `vt_nees`."""
     truth, site = recording.truth, recording.links.site
     if truth is None:
         raise ValueError("a VT's error needs the truth")
     tracks = tracks_of(site[recording.measurements.link], association, truth.measurement_vt)
     known = {(s, i): v for s, i, v in zip(tracks.link.tolist(), tracks.id.tolist(), tracks.stands_for, strict=True)}
-    out = np.full(len(vts.id), np.nan)
-    for row, key in enumerate(zip(site[vts.link].tolist(), vts.id.tolist(), strict=True)):
-        if (vt := known.get(key, -1)) >= 0:
-            error, claimed = vts.position_m[row] - truth.vts.position_m[vt], vts.covariance[row]
-            if np.linalg.det(claimed) > 0.0:
-                out[row] = error @ np.linalg.solve(claimed, error)
-    return out
+    keys = zip(site[vts.link].tolist(), vts.id.tolist(), strict=True)
+    return np.array([known.get(key, -1) for key in keys], np.int64)
 
 
 def transmitter_errors(recording: Recording, vts: VtEstimate, tracks: Tracks) -> Floats:

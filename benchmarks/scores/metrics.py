@@ -7,38 +7,92 @@ Position errors are horizontal, absolute and not aligned. Source: paper, section
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.scores.map_scores import Tracks, map_gospa, precision_recall, tracks_of, transmitter_errors
+from cellslam.benchmarks.scores.belief import (
+    AS_CLAIMED,
+    LEVELS,
+    Claim,
+    claimed_probability,
+    energy_score,
+    log_score,
+    ratio,
+    squared_error,
+    two_sided,
+)
+from cellslam.benchmarks.scores.map_scores import (
+    DETECTIONS_OF_A_TRUE_VT,
+    Tracks,
+    map_gospa,
+    precision_recall,
+    stand_for,
+    tracks_of,
+    transmitter_errors,
+)
 from cellslam.benchmarks.scores.reference_fixes import at_fixes, compared, covariances_at_fixes, unled, usable, within
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.scores.walls import wall_scores
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.recording import Floats, Recording, Reference
+from cellslam.sim.recording import Floats, Ints, Recording, Reference
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.bound.cramer_rao import BoundResult
 
-SMALLEST_VARIANCE_M2 = 1e-12
+# Rows have the protection level of one risk, and of one alert limit; `cellslam integrity` has those of any.
+RISK, ALERT_LIMIT_M = 1e-3, 3.0
 SHORTEST_STEP_M = 1.0  # of a reference's path: below it lies the noise of fixes at rest
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of a trial against its truth at every snapshot, or against a reference at its fixes: horizontal `position`
-    (N,) in m, `heading` (N,) in rad, and the NEES `squared` (N,), NaN where there is none."""
+    """Errors of a trial against its truth at every snapshot, or against a reference at its fixes, and what was claimed.
 
-    position: Floats
+    `horizontal` (N, 2): estimate less truth in m, `covariance` (N, 2, 2): the claim, with the reference's variance, NaN
+    where there is none; `yaw` (N,): the estimated one. `heading` (K,) in rad, and its claimed variance (K,).
+    """
+
+    horizontal: Floats
+    covariance: Floats
+    yaw: Floats
     heading: Floats
-    squared: Floats
+    heading_variance: Floats
+
+    @cached_property
+    def position(self) -> Floats:
+        """Sizes (N,) of the horizontal errors in m."""
+        return np.asarray(np.hypot(self.horizontal[:, 0], self.horizontal[:, 1]))
+
+    @cached_property
+    def squared(self) -> Floats:
+        """The NEES (N,), NaN where nothing is claimed, or that there is no error."""
+        return squared_error(self.horizontal, self.covariance)
+
+    @cached_property
+    def claimed(self) -> tuple[Floats, Floats]:
+        """The horizontal errors (n, 2), and covariances (n, 2, 2), where there is a claim."""
+        there = np.isfinite(self.squared)
+        return self.horizontal[there], self.covariance[there]
+
+    def protection(
+        self, direction: str = "horizontal", claim: Claim = AS_CLAIMED, risk: float = RISK
+    ) -> tuple[Floats, Floats]:
+        """Return sizes of the errors (n,) and protection levels (n,) in m, where there is a claim, which `claim` reads:
+        horizontal, or along or across the estimated heading."""
+        error, covariance = self.claimed
+        if direction == "horizontal":
+            return np.hypot(error[:, 0], error[:, 1]), claim.radius(covariance, risk)
+        yaw = self.yaw[np.isfinite(self.squared)] + (np.pi / 2.0 if direction == "across" else 0.0)
+        n = np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+        variance = np.einsum("ti,tij,tj->t", n, covariance, n)
+        return np.abs((n * error).sum(axis=1)), claim.half_width(variance, risk)
 
 
-NO_ERRORS = Errors(np.zeros(0), np.zeros(0), np.zeros(0))
+NO_ERRORS = Errors(np.zeros((0, 2)), np.zeros((0, 2, 2)), *np.zeros((3, 0)))
 
 
 @dataclass(frozen=True)
@@ -52,13 +106,7 @@ class Scored:
     @cached_property
     def errors(self) -> Errors:
         """Errors of pose, against truth or reference; empty without both."""
-        truth, reference, result = self.recording.truth, self.recording.reference, self.result
-        if truth is None:
-            return NO_ERRORS if reference is None else reference_errors(self.recording, reference, result)
-        # The covariances of a smoother are those of the snapshots, and say nothing of its poses.
-        known = np.zeros(0) if result.smoothed else nees(truth.poses, result.poses, result.covariances)
-        turned = wrap_angle(result.poses[:, 3] - truth.poses[:, 3])
-        return Errors(horizontal_error(truth.poses, result.poses), turned, known)
+        return errors_of(self.recording, self.result)
 
     @cached_property
     def tracks(self) -> Tracks | None:
@@ -67,6 +115,26 @@ class Scored:
         if truth is None or association is None:
             return None
         return tracks_of(self.recording.measurements.link, association, truth.measurement_vt)
+
+    @cached_property
+    def mapped(self) -> tuple[Floats, Floats, Ints]:
+        """Errors of the final VTs and bounds of what they stand for (n,), in m, and in how many snapshots that was seen
+        (n,); none without a bound of the map."""
+        truth, vts, association = self.recording.truth, self.result.vts, self.result.association
+        if truth is None or vts is None or association is None or self.bound is None or self.bound.map is None:
+            return np.zeros(0), np.zeros(0), np.zeros(0, np.int64)
+        of = stand_for(self.recording, vts, association)
+        known = np.flatnonzero(of >= 0)
+        known = known[np.isfinite(self.bound.map.std_m[of[known]])]
+        error = np.linalg.norm(vts.position_m[known] - truth.vts.position_m[of[known]], axis=1)
+        return error, self.bound.map.std_m[of[known]], self.bound.map.looks[of[known]]
+
+    @cached_property
+    def settled(self) -> tuple[Floats, Floats]:
+        """Errors and bounds (n,) in m of the final VTs that were seen in twenty snapshots or more."""
+        error, bound, looks = self.mapped
+        often = looks >= DETECTIONS_OF_A_TRUE_VT
+        return error[often], bound[often]
 
     @cached_property
     def walls(self) -> dict[str, float | None]:
@@ -81,6 +149,14 @@ class Scored:
         if truth is None or offset is None or not len(self.recording.sites):
             return None
         return np.asarray(offset[-1] - truth.clock_offsets_at(self.recording.elapsed_s)[-1])
+
+    @cached_property
+    def clock_ratios(self) -> Floats:
+        """Errors of the clock offsets at all snapshots over their claimed deviations (n,), NaN of known clocks."""
+        truth, offset, variance = self.recording.truth, self.result.clock_offset_m, self.result.clock_offset_variance_m2
+        if truth is None or offset is None or variance is None:
+            return np.zeros(0)
+        return ratio((offset - truth.clock_offsets_at(self.recording.elapsed_s)).ravel(), variance.ravel())
 
     @property
     def transmitter_m(self) -> Floats | None:
@@ -109,7 +185,7 @@ class Metric:
     """A metric: its key in rows, unit, heading of a column, digits in tables, meaning, and how it is computed; None: of
     several rows, or measured while the estimator runs. `axis`: label in figures; those without one have none. `tables`
     show it without being asked: `trial` and `trials` of `run`, `summary` of `table`, `suite`, `report`. `rising`: more
-    is better."""
+    is better. `share`: a value of one drive is 0 to 1."""
 
     key: str
     unit: str
@@ -120,6 +196,7 @@ class Metric:
     axis: str = ""
     tables: str = ""
     rising: bool = False
+    share: bool = False
 
     @property
     def titled(self) -> str:
@@ -130,6 +207,30 @@ class Metric:
     def label(self) -> str:
         """Label of an axis, with unit."""
         return _with_unit(self.axis, self.unit)
+
+
+def _coverage() -> Iterator[Metric]:
+    """Yield the metrics that say how often errors lie within what is claimed to hold them so often."""
+    of: dict[str, tuple[str, Callable[[Scored], Floats]]] = {
+        "coverage": ("horizontal position", lambda s: claimed_probability(s.errors.squared)),
+        "heading_coverage": ("heading", lambda s: two_sided(ratio(s.errors.heading, s.errors.heading_variance))),
+        "clock_coverage": ("clock offsets", lambda s: two_sided(s.clock_ratios)),
+    }
+    for name, (what, probability) in of.items():
+        for level in LEVELS:
+
+            def share(s: Scored, level: float = level, probability: Any = probability) -> float | None:
+                found = probability(s)
+                return _over(np.mean, found[np.isfinite(found)] <= level)
+
+            percent = f"{100 * level:g}"
+            heading = f"{name.removesuffix('coverage').replace('_', ' ')}in {percent} %"
+            shown = "report" if (name, level) == ("coverage", 0.95) else ""
+            yield Metric(
+                f"{name}_{percent}", "", heading, 3,
+                f"share of snapshots in which the {what} lies within what is claimed to hold {percent} %", share,
+                f"{percent} % coverage of the {what}" if shown else "", tables=shown, share=True,
+            )  # fmt: skip
 
 
 METRICS = (
@@ -150,23 +251,53 @@ METRICS = (
     Metric("map_gospa_m", "m", "GOSPA", 2,
            "map of virtual transmitters: GOSPA, mean over links, which also counts what is missed and what is false",
            lambda s: s.map_gospa_m, "map GOSPA", tables="trials suite report"),
+    Metric("map_rmse_m", "m", "VTs", 2,
+           "error of the final virtual transmitters that were seen in twenty snapshots or more, root mean square",
+           lambda s: _rms(s.settled[0])),
+    Metric("bound_map_m", "m", "bound of VTs", 2,
+           "Cramér-Rao bound of the same: the least error that a filter can have of what these VTs stand for",
+           lambda s: _rms(s.settled[1])),
     Metric("wall_gospa_m", "m", "walls", 2, "walls, of estimators that report walls: GOSPA of their visible parts",
            lambda s: s.walls.get("wall_gospa_m")),
     Metric("wall_share", "", "mapped", 2, "share of the seen facades' length that is mapped",
-           lambda s: s.walls.get("wall_share"), rising=True),
+           lambda s: s.walls.get("wall_share"), rising=True, share=True),
     Metric("wall_normal_rmse_rad", "rad", "wall normals", 4, "error of the walls' directions, root mean square",
            lambda s: s.walls.get("wall_normal_rmse_rad")),
     Metric("wall_offset_rmse_m", "m", "wall offsets", 2, "by how much walls are off across them, root mean square",
            lambda s: s.walls.get("wall_offset_rmse_m")),
     Metric("association_precision", "", "precision", 2, "share of associations that are right",
-           lambda s: s.associated[0], tables="trial trials suite", rising=True),
+           lambda s: s.associated[0], tables="trial trials suite", rising=True, share=True),
     Metric("association_recall", "", "recall", 2, "share of measurements of a VT that were associated rightly",
-           lambda s: s.associated[1], tables="trial trials suite", rising=True),
+           lambda s: s.associated[1], tables="trial trials suite", rising=True, share=True),
     Metric("nees_mean", "", "NEES", 2,
            "mean normalised estimation error squared of the position: 2 where the claimed covariance is right; a "
            "reference that states no deviation is taken as exact, and the value is then an upper limit",
            lambda s: _over(np.mean, s.errors.squared[np.isfinite(s.errors.squared)]), "mean NEES (2 is right)",
            tables="trials suite report"),
+    Metric("log_score", "nat", "log score", 2,
+           "minus the logarithm of the density that was claimed for the true horizontal position, mean: less is better",
+           lambda s: _over(np.mean, log_score(*s.errors.claimed)), "log score", tables="report"),
+    Metric("energy_score_m", "m", "energy score", 2,
+           "energy score of the claimed horizontal position, mean: in m, and kinder to outliers than the log score",
+           lambda s: _over(np.mean, energy_score(*s.errors.claimed))),
+    *_coverage(),
+    Metric("claimed_95_m", "m", "claimed 95 %", 2, "radius that is claimed to hold 95 % of the position, median",
+           lambda s: _over(np.median, AS_CLAIMED.radius(s.errors.claimed[1], 0.05))),
+    Metric("protection_m", "m", "protection", 2,
+           "horizontal protection level, which the error is claimed to exceed once in a thousand times; median",
+           lambda s: _over(np.median, s.errors.protection()[1])),
+    Metric("protection_along_m", "m", "along", 2, "the same, along the track",
+           lambda s: _over(np.median, s.errors.protection("along")[1])),
+    Metric("protection_across_m", "m", "across", 2, "the same, across the track",
+           lambda s: _over(np.median, s.errors.protection("across")[1])),
+    Metric("availability", "", "available", 3, "share of snapshots with a horizontal protection level below 3 m",
+           lambda s: _over(np.mean, s.errors.protection()[1] < ALERT_LIMIT_M), rising=True, share=True),
+    Metric("misleading", "", "misleading", 4, "share of snapshots with an error above the horizontal protection level",
+           lambda s: _exceeding(*s.errors.protection()), share=True),
+    Metric("misleading_along", "", "along", 4, "the same, along the track",
+           lambda s: _exceeding(*s.errors.protection("along")), share=True),
+    Metric("misleading_across", "", "across", 4, "the same, across the track",
+           lambda s: _exceeding(*s.errors.protection("across")), share=True),
     Metric("bound_position_rmse_m", "m", "bound", 2,
            "Cramér-Rao bound of the position RMSE: the least error that a filter can have on average on this drive, "
            "errors that persist included", lambda s: None if s.bound is None else s.bound.position_rmse_m,
@@ -190,6 +321,8 @@ RATIOS = (
            "root mean square of the RMSE over that of the bound, 1 at best", tables="trials summary suite report"),
     Metric("efficiency_ratio_merged", "", "merging counted in", 2,
            "the same, of the bound with merging as an error that persists", tables="trials suite"),
+    Metric("map_efficiency_ratio", "", "map efficiency", 2, "root mean square of the VTs' error over that of its bound",
+           tables="suite report"),
 )  # fmt: skip
 METRIC_KEYS, COST_KEYS = tuple(m.key for m in METRICS), tuple(m.key for m in COSTS)
 # In the order of columns: the ratio stands beside the error that it is of.
@@ -215,6 +348,16 @@ def score(recording: Recording, result: TrialResult, bound: BoundResult | None) 
     return {metric.key: metric.of(scored) for metric in METRICS if metric.of is not None}
 
 
+def errors_of(recording: Recording, result: TrialResult) -> Errors:
+    """Return the errors of a result against the truth, or else the reference; none without both."""
+    truth, reference = recording.truth, recording.reference
+    if truth is None:
+        return NO_ERRORS if reference is None else reference_errors(recording, reference, result)
+    # The covariances of a smoother are those of the snapshots, and say nothing of its poses.
+    claimed = np.full_like(result.covariances, np.nan) if result.smoothed else result.covariances
+    return _errors(truth.poses, result.poses, claimed)
+
+
 def reference_errors(recording: Recording, reference: Reference, result: TrialResult) -> Errors:
     """Return the errors against a reference: of the estimate at its times, where they lie within the drive.
 
@@ -229,11 +372,18 @@ def reference_errors(recording: Recording, reference: Reference, result: TrialRe
     there, turned = usable(recording, reference)[rows], np.isfinite(known[:, 3])
     std = np.nan_to_num(reference.position_std_m[rows])
     claimed = covariances_at_fixes(recording, reference, rows, result.poses, result.covariances)
-    claimed = claimed + (std**2)[:, None, None] * np.eye(6)
-    return Errors(
-        horizontal_error(known[there], poses[there]), wrap_angle(poses[turned, 3] - known[turned, 3]),
-        nees(known[there], poses[there], claimed[there]),
-    )  # fmt: skip
+    claimed = claimed + (std**2)[:, None, None] * np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    return _errors(known, poses, claimed, there, turned)
+
+
+def _errors(
+    known: Floats, poses: Floats, claimed: Floats, there: Any = slice(None), turned: Any = slice(None)
+) -> Errors:
+    """Return the errors of poses (N, 6) with their claims (N, 6, 6) against what is known, (N, 4) or more columns: of
+    positions where they are `there`, of headings where `turned`."""
+    horizontal = (poses[:, :2] - known[:, :2])[there]
+    heading = wrap_angle(poses[turned, 3] - known[turned, 3])
+    return Errors(horizontal, claimed[there, :2, :2], poses[there, 3], heading, claimed[turned, 3, 3])
 
 
 def errors_over_time(recording: Recording, poses: Floats) -> tuple[Floats, Floats] | None:
@@ -251,16 +401,9 @@ def nees(truth_poses: Floats, poses: Floats, covariances: Floats) -> Floats:
     """Return the normalised estimation error squared e^T P^-1 e (T,) of the horizontal position, dimensionless.
 
     Its mean is 2 for a consistent estimator. NaN where the claimed covariance (T, 6, 6) has no inverse, as at a start
-    that is known exactly. Source: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and
-    navigation", 2001, section 5.4.2.
+    that is known exactly.
     """
-    e = poses[:, :2] - truth_poses[:, :2]
-    xx, xy, yy = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
-    determinant = xx * yy - xy * xy
-    # The smaller eigenvalue is at least determinant / trace.
-    regular = determinant > SMALLEST_VARIANCE_M2 * np.abs(xx + yy)
-    quadratic = yy * e[:, 0] ** 2 - 2.0 * xy * e[:, 0] * e[:, 1] + xx * e[:, 1] ** 2
-    return np.where(regular, quadratic / np.where(regular, determinant, 1.0), np.nan)
+    return squared_error(poses[:, :2] - truth_poses[:, :2], covariances[:, :2, :2])
 
 
 def duration_s(recording: Recording) -> float:
@@ -290,11 +433,16 @@ def _length(points: Floats) -> float | None:
     return length
 
 
+def _exceeding(error: Floats, level: Floats) -> float | None:
+    """Return the share of errors (n,) above their protection levels (n,)."""
+    return _over(np.mean, error > level)
+
+
 def _rms(values: Floats | None) -> float | None:
     return _over(lambda found: np.sqrt(np.mean(np.square(found))), values)
 
 
-def _over(statistic: Callable[[Floats], Any], values: Floats | None) -> float | None:
+def _over(statistic: Callable[[Any], Any], values: Any) -> float | None:
     """Return a statistic of values (N,), None where there are none."""
     return None if values is None or not len(values) else float(statistic(values))
 

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -20,6 +21,7 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
 
 RESAMPLES = 1999
+DRAWS = 9999  # of an upper limit, the most
 LEAST_VALUES = 5
 NAMES = "median, mean, rmse, min, max, q5 to q99.9, share>VALUE"
 # Elements of one batch of resamples: bounds the memory, not the result.
@@ -110,6 +112,35 @@ def interval(values: Floats, of: Statistic, confidence: float) -> tuple[float, f
         rng=np.random.default_rng(0),
     ).confidence_interval
     return float(found.low), float(found.high)
+
+
+def upper_limit(shares: Floats, confidence: float) -> float:
+    """Return the upper confidence limit of the mean of independent shares (n,), each 0 to 1; NaN without any.
+
+    It needs to know no distribution. Where all are 0 or 1 it is that of Clopper and Pearson (1934): n shares of zero
+    leave 1 - (1 - confidence)^(1 / n). Sources: Gaffke, "Three test statistics for a nonparametric one-sided hypothesis
+    on the mean of a nonnegative variable", Mathematical Methods of Statistics 14, 2005; Phan, Thomas and
+    Learned-Miller, "Towards practical mean bounds for small samples", ICML 2021, section 2.
+    """
+    if not len(shares):
+        return float("nan")
+    steps = np.diff(np.sort(shares), append=1.0)
+    return float(np.quantile(1.0 - _uniform(len(shares)) @ steps, confidence))
+
+
+@lru_cache(maxsize=1)
+def _uniform(count: int) -> Floats:
+    """Return sorted uniform draws (k, count)."""
+    draws = max(RESAMPLES, min(DRAWS, _BATCH // count))
+    return np.sort(np.random.default_rng(0).random((draws, count)), axis=1)
+
+
+def share_interval(shares: Floats, confidence: float) -> tuple[float, float]:
+    """Return the interval of the mean of independent shares (n,), by `upper_limit` on both sides; NaN below five."""
+    if len(shares) < LEAST_VALUES:
+        return float("nan"), float("nan")
+    one_sided = (1.0 + confidence) / 2.0
+    return 1.0 - upper_limit(1.0 - shares, one_sided), upper_limit(shares, one_sided)
 
 
 def efficiency_ratio(error: Floats, bound: Floats, confidence: float) -> tuple[float, float, float]:

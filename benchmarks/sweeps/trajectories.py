@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.benchmarks.scores.map_scores import vt_nees
-from cellslam.benchmarks.scores.metrics import horizontal_error, nees
+from cellslam.benchmarks.scores.metrics import NO_ERRORS, Errors, Scored
 from cellslam.sim.data_files import arrays_of
 from cellslam.sim.errors import InputError
 
@@ -22,11 +22,18 @@ if TYPE_CHECKING:
     from cellslam.sim.recording import Floats, Recording
 
 Singles = NDArray[np.float32]
-# Sizes of the columns: T snapshots, S sites, V final VTs.
+# Sizes of the columns: T snapshots, S sites, V final VTs, K of them that stand for one that has a bound.
 SHAPES = {
     "time_s": "T", "poses": "T6", "error_m": "T", "nees": "T", "std_m": "T", "bound_std_m": "T", "offset_error_m": "TS",
-    "offset_std_m": "TS", "vt_m": "V3", "vt_link": "V", "vt_first": "V", "vt_nees": "V",
+    "offset_std_m": "TS", "vt_m": "V3", "vt_link": "V", "vt_first": "V", "vt_nees": "V", "horizontal_m": "T2",
+    "covariance_m2": "T3", "heading_error_rad": "T", "heading_std_rad": "T", "map_error_m": "K", "map_bound_m": "K",
+    "map_looks": "K",
 }  # fmt: skip
+# Not in files of before.
+LATER = (
+    *("horizontal_m", "covariance_m2", "heading_error_rad", "heading_std_rad"),
+    *("map_error_m", "map_bound_m", "map_looks"),
+)
 
 
 @dataclass(frozen=True)
@@ -36,7 +43,10 @@ class Trajectory:
     `time_s` (T,) from 0; `poses` (T, 6); `error_m`, `nees`, `std_m` (claimed), `bound_std_m` (T,), horizontal;
     `offset_error_m`, `offset_std_m` (T, S); `vt_m` (V, 3); `vt_link` (V,); `vt_first` (V,): snapshot of the first
     measurement that was associated with the VT, -1 where that is not known; `vt_nees` (V,): its normalised error
-    squared (3 is right), NaN where it stands for no true VT.
+    squared (3 is right), NaN where it stands for no true VT. `horizontal_m` (T, 2): estimate less truth;
+    `covariance_m2` (T, 3): xx, xy and yy of its claim; `heading_error_rad`, `heading_std_rad` (T,). `map_error_m`,
+    `map_bound_m`, `map_looks` (K,): of the final VTs that stand for a true one with a bound, in how many snapshots that
+    was seen.
     """
 
     time_s: Singles
@@ -51,13 +61,31 @@ class Trajectory:
     vt_link: NDArray[np.int32]
     vt_first: NDArray[np.int32]
     vt_nees: Singles
+    horizontal_m: Singles
+    covariance_m2: Singles
+    heading_error_rad: Singles
+    heading_std_rad: Singles
+    map_error_m: Singles
+    map_bound_m: Singles
+    map_looks: NDArray[np.int32]
+
+    @property
+    def errors(self) -> Errors:
+        """The errors and what was claimed of them; none where an older version kept no covariances."""
+        if not len(self.covariance_m2):
+            return NO_ERRORS
+        covariance = self.covariance_m2[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+        columns = (self.horizontal_m, covariance, self.poses[:, 3], self.heading_error_rad, self.heading_std_rad**2)
+        return Errors(*(np.asarray(column, np.float64) for column in columns))
 
 
 def trajectory(recording: Recording, result: TrialResult, limit: BoundResult | None) -> Trajectory:
     """Return what is kept of one result."""
     truth, empty = recording.truth, np.empty(0)
     offset, variance = result.clock_offset_m, result.clock_offset_variance_m2
-    elapsed_s, vts = recording.elapsed_s, result.vts
+    scored = Scored(recording, result, limit)
+    elapsed_s, vts, errors = recording.elapsed_s, result.vts, scored.errors
+    known = truth is not None
 
     def single(column: Any) -> Singles:
         return np.asarray(column, np.float32)
@@ -65,8 +93,8 @@ def trajectory(recording: Recording, result: TrialResult, limit: BoundResult | N
     return Trajectory(
         time_s=single(elapsed_s),
         poses=single(result.poses),
-        error_m=single(empty if truth is None else horizontal_error(truth.poses, result.poses)),
-        nees=single(empty if truth is None else nees(truth.poses, result.poses, result.covariances)),
+        error_m=single(errors.position if known else empty),
+        nees=single(errors.squared if known else empty),
         std_m=single(result.position_std_m),
         bound_std_m=single(empty if limit is None else limit.horizontal_std_m),
         offset_error_m=single(empty if truth is None or offset is None else offset - truth.clock_offsets_at(elapsed_s)),
@@ -75,6 +103,13 @@ def trajectory(recording: Recording, result: TrialResult, limit: BoundResult | N
         vt_link=np.asarray(empty if vts is None else vts.link, np.int32),
         vt_first=_first_associated(recording, result).astype(np.int32),
         vt_nees=single(_vt_nees(recording, result)),
+        horizontal_m=single(errors.horizontal if known else empty),
+        covariance_m2=single(errors.covariance.reshape(-1, 4)[:, [0, 1, 3]] if known else empty),
+        heading_error_rad=single(errors.heading if known else empty),
+        heading_std_rad=single(np.sqrt(np.maximum(errors.heading_variance, 0.0)) if known else empty),
+        map_error_m=single(scored.mapped[0]),
+        map_bound_m=single(scored.mapped[1]),
+        map_looks=scored.mapped[2].astype(np.int32),
     )
 
 
@@ -89,6 +124,7 @@ def unpack(path: Path) -> Trajectory:
     """Return the trajectory of a file. Raises InputError when it cannot be read."""
     try:
         held = arrays_of(path)
+        held = {name: np.empty(0, np.float32) for name in LATER} | dict(held)
         _check_shapes(held)
         return Trajectory(**{name: held[name] for name in SHAPES})
     except (OSError, ValueError, KeyError) as error:
@@ -97,7 +133,7 @@ def unpack(path: Path) -> Trajectory:
 
 def _check_shapes(held: Mapping[str, NDArray[Any]]) -> None:
     """Raise ValueError unless columns are numbers, and each empty or of the size of the others."""
-    sizes = {"3": 3, "6": 6}
+    sizes = {"2": 2, "3": 3, "6": 6}
     for name, letters in SHAPES.items():
         column = held[name]
         fits = not column.size or (

@@ -7,18 +7,22 @@ over N trials the mean of a consistent filter's normalised error squared (NEES) 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.stats import binomtest, chi2
 
+from cellslam.benchmarks.scores.belief import claimed_probability, ratio, two_sided
+from cellslam.benchmarks.scores.metrics import Scored
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import trajectory_of
 from cellslam.benchmarks.sweeps.trajectories import Trajectory
 from cellslam.benchmarks.tables.summaries import CONFIDENCE, Layout, groups, row_keys
 from cellslam.sim.errors import InputError
-from cellslam.sim.recording import Ints
+from cellslam.sim.recording import Floats, Ints, Recording
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,15 +30,44 @@ if TYPE_CHECKING:
 SIGMAS = 2.0  # of the clocks' band
 
 
+@dataclass(frozen=True)
+class Claimed:
+    """The probabilities that were claimed in a drive for what reaches to the truth: horizontal ellipses `position`,
+    intervals of the `heading`, and of each `clock`; each (n,), uniform where claims are right."""
+
+    position: Floats
+    heading: Floats
+    clock: Floats
+
+
+def claimed_in(one: Trajectory) -> Claimed:
+    """Return what was claimed in a drive whose trajectory is kept; one of an older version has no heading."""
+    heading = ratio(one.heading_error_rad, one.heading_std_rad**2)
+    clock = ratio(one.offset_error_m, one.offset_std_m**2) if len(one.offset_std_m) else np.zeros(0)
+    return _known(claimed_probability(one.nees), two_sided(heading), two_sided(clock.ravel()))
+
+
+def claimed_by(recording: Recording, result: TrialResult) -> Claimed:
+    """Return what a result claims of a drive with truth or reference."""
+    scored = Scored(recording, result, None)
+    heading = ratio(scored.errors.heading, scored.errors.heading_variance)
+    return _known(claimed_probability(scored.errors.squared), two_sided(heading), two_sided(scored.clock_ratios))
+
+
+def _known(*columns: Floats) -> Claimed:
+    return Claimed(*(column[np.isfinite(column)] for column in columns))
+
+
 def consistency(folder: str | Path, times: int = 10, rows: Sequence[str] | None = None) -> pd.DataFrame:
     """Return how consistent covariances are with errors, by group of a sweep's trials, at `times` moments.
 
     Where drives of a group differ in length, a moment is the same share of each. Columns: the row keys, `time_s` (the
-    median), `trials`; `nees` of the horizontal position, mean over trials (2 is right), with
-    the band `nees_low`, `nees_high` in which 95 % of such means are if all is right; `clock_share` of the sites' clock
-    offsets that lie within two claimed deviations, `vt_share` of the final VTs that lie within their 95 % ellipsoid (at
-    the end, and where it is known which VT each stands for), both with Wilson's 95 % interval (`_low`, `_high`) and
-    their number (`clocks`, `vts`). None where there is nothing. Raises InputError where no trajectories are kept.
+    median), `trials`; `nees` of the horizontal position, mean over trials (2 is right), with the band `nees_low`,
+    `nees_high` in which 95 % of such means are if all is right; `position_share` of the drives whose position lies
+    within its 95 % ellipse; `clock_share` of the sites' clock offsets that lie within two claimed deviations,
+    `vt_share` of the final VTs that lie within their 95 % ellipsoid (at the end, and where it is known which VT each
+    stands for), all with Wilson's 95 % interval (`_low`, `_high`) and their number (`positions`, `clocks`, `vts`). None
+    where there is nothing. Raises InputError where no trajectories are kept.
     """
     import pandas as pd
 
@@ -72,20 +105,29 @@ def _over_time(drives: Iterable[Trajectory], times: int) -> Iterator[dict[str, A
         squared = squared[np.isfinite(squared)]
         low, high = nees_band(len(squared)) if len(squared) else (None, None)
         mean = float(squared.mean()) if len(squared) else None
+        position = _share("position", squared <= chi2.ppf(CONFIDENCE, 2))
         ratio = np.concatenate([own[number] for own in ratios])
         clock = _share("clock", ratio[~np.isnan(ratio)] <= SIGMAS)  # a clock that was known has no ratio
         last = number == times - 1
         vt = _share("vt", np.concatenate(vts) <= chi2.ppf(CONFIDENCE, 3) if last else np.zeros(0, bool))
         time_s = float(np.median([own[number] for own in moments]))
-        yield {"time_s": time_s, "trials": len(nees), "nees": mean, "nees_low": low, "nees_high": high, **clock, **vt}
+        yield {
+            "time_s": time_s,
+            "trials": len(nees),
+            "nees": mean,
+            "nees_low": low,
+            "nees_high": high,
+            **position,
+            **clock,
+            **vt,
+        }
 
 
 def _clock_ratios(one: Trajectory, at: Ints) -> Any:
     """Return the errors of the clock offsets over their claimed deviations (K, S) at the snapshots `at` (K,)."""
     if not (len(one.offset_error_m) and len(one.offset_std_m)):
         return np.zeros((len(at), 0))
-    error_m, std_m = np.abs(one.offset_error_m[at]), one.offset_std_m[at]
-    return np.divide(error_m, std_m, out=np.full_like(std_m, np.nan), where=std_m > 0.0)
+    return ratio(one.offset_error_m[at], one.offset_std_m[at] ** 2)
 
 
 def _share(name: str, inside: Any) -> dict[str, Any]:

@@ -136,11 +136,36 @@ def consistency_grid(tidy: pd.DataFrame, keys: Sequence[str], oracles: frozenset
     for line in tidy.to_dict("records"):
         row = (_label(key, line[key], oracles) for key in keys)
         band = f"{number(line['nees_low'])} to {number(line['nees_high'])}"
-        shares = (_percent(line, "clock"), _percent(line, "vt"))
+        shares = (_percent(line, name) for name in ("position", "clock", "vt"))
         lines.append((*row, f"{line['time_s']:.0f}", number(line["nees"]), band, *shares, str(line["trials"])))
-    headings = ("time (s)", "NEES", "95 % if consistent", "clocks in 2 sigma", "VTs in 95 %", "trials")
+    headings = (
+        "time (s)",
+        "NEES",
+        "95 % if consistent",
+        "positions in 95 %",
+        "clocks in 2 sigma",
+        "VTs in 95 %",
+        "trials",
+    )
     notes = ("NEES: of the horizontal position, mean over trials; shares with 95 % intervals; VTs: those at the end",)
     return Grid((*keys, *headings), tuple(lines), len(keys), notes)
+
+
+def integrity_grid(tidy: pd.DataFrame, keys: Sequence[str], oracles: frozenset[str], risk: float) -> Grid:
+    """Return the grid of protection levels, and of how often they mislead."""
+    lines = []
+    for line in tidy.to_dict("records"):
+        row = (_label(key, line[key], oracles) for key in keys)
+        metres = (number(line["protection_m"]), number(line["served_m"]))
+        shares = (f"{line[name]:.2g} [{line[f'{name}_high']:.2g}]" for name in ("misleading", "hazardous"))
+        available = f"{100 * line['availability']:.1f} %"
+        lines.append(
+            (*row, line["claims"], f"{line['alert_limit_m']:g}", *metres, available, *shares, str(line["drives"]))
+        )
+    headings = ("claims", "alert limit (m)", "protection (m)", "99 % served (m)", "available", "misleading [below]",
+                "hazardous [below]", "drives")  # fmt: skip
+    note = f"risk {risk:g}; in brackets upper {100 * CONFIDENCE:g} % limits over independent drives"
+    return Grid((*keys, *headings), tuple(lines), len(keys) + 1, (note,))
 
 
 def _percent(line: Mapping[Any, Any], name: str) -> str:

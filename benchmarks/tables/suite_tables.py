@@ -14,7 +14,7 @@ from cellslam.benchmarks.scores.verdicts import Verdict
 from cellslam.benchmarks.tables.formats import Column, Grid, bracketed, cell, columns_of, markdown, number
 from cellslam.benchmarks.tables.rankings import ALL, map_builders, significant_pairs, verdict_table, verdicts
 from cellslam.benchmarks.tables.suite_rows import SuiteRows
-from cellslam.benchmarks.tables.summaries import BOUNDED, CONFIDENCE, EFFICIENCY, MERGED, RATIO_OF, RATIOS
+from cellslam.benchmarks.tables.summaries import BOUNDED, CONFIDENCE, EFFICIENCY, MERGED, OF_MAP, RATIO_OF, RATIOS
 from cellslam.scenarios.suites import Suite, superseded_by
 
 if TYPE_CHECKING:
@@ -115,7 +115,8 @@ def standings(some: SuiteRows, judged: dict[str, Verdict], made_with: dict[str, 
 def _scenario(
     name: str, rows: pd.DataFrame, oracles: Collection[str], judged: Verdict | None, power: Verdict | None
 ) -> str:
-    columns = [c for c in COLUMNS if c.metric != MERGED or rows["bound_merged_m"].notna().any()]
+    needed = {MERGED: "bound_merged_m", OF_MAP: "bound_map_m"}
+    columns = [c for c in COLUMNS if c.metric not in needed or rows[needed[c.metric]].notna().any()]
     lines = []
     for estimator, own in rows.groupby("estimator", sort=False):
         fine = own[own["status"] == "ok"]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.scores.metrics import METRIC, shown_in
-from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, paired, plain, statistic
+from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, paired, plain, share_interval, statistic
 from cellslam.benchmarks.sweeps.rows import results, varying_keys
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.recording import Floats
@@ -18,10 +18,12 @@ from cellslam.sim.recording import Floats
 if TYPE_CHECKING:
     import pandas as pd
 
-RATIOS = EFFICIENCY, MERGED = "efficiency_ratio", "efficiency_ratio_merged"  # of a group of rows, not of one
+# Of a group of rows, not of one.
+RATIOS = EFFICIENCY, MERGED, OF_MAP = "efficiency_ratio", "efficiency_ratio_merged", "map_efficiency_ratio"
 CONFIDENCE = 0.95
 BOUND, BOUNDED = "bound", "position_rmse_m"  # the line of the bound, and the metric that it bounds
 RATIO_OF = (BOUNDED, "bound_position_rmse_m", "bound_merged_m")
+MAP_RATIO_OF = ("map_rmse_m", "bound_map_m")
 _DRIVE = ("world", "seed", "trial")
 
 
@@ -52,7 +54,9 @@ def summary(folder: str | Path, layout: Layout | None = None) -> pd.DataFrame:
         statistic(name)
     check_confidence(layout.confidence)
     keys = list(dict.fromkeys([*row_keys(folder, layout), *([layout.columns] if layout.columns else [])]))
-    frame = results(folder, list(dict.fromkeys([*keys, "status", *keys_of(metrics), *_DRIVE, *RATIO_OF])))
+    frame = results(
+        folder, list(dict.fromkeys([*keys, "status", *keys_of(metrics), *_DRIVE, *RATIO_OF, *MAP_RATIO_OF]))
+    )
     if "estimator" in keys and BOUNDED in metrics:
         frame = _with_bounds(frame, keys)
     wanted = [(metric, name) for metric in metrics for name in ([""] if metric in RATIOS else layout.statistics)]
@@ -138,7 +142,8 @@ def _text(value: Any) -> str:
 
 def keys_of(metrics: Sequence[str]) -> list[str]:
     """Return the row keys that metrics are made of."""
-    return [key for metric in metrics for key in (RATIO_OF if metric in RATIOS else (metric,))]
+    of = {EFFICIENCY: RATIO_OF, MERGED: RATIO_OF, OF_MAP: MAP_RATIO_OF}
+    return [key for metric in metrics for key in of.get(metric, (metric,))]
 
 
 def estimate(
@@ -149,6 +154,10 @@ def estimate(
     An efficiency ratio is of the rows that have RMSE and bound, and of no statistic; the merged one is against the
     bound that merging counts in, where a row has it.
     """
+    if metric == OF_MAP:
+        known = rows.dropna(subset=list(MAP_RATIO_OF))
+        error, bound = (np.asarray(known[key], np.float64) for key in MAP_RATIO_OF)
+        return efficiency_ratio(error, bound, confidence or CONFIDENCE)
     if metric in RATIOS:
         known = rows.dropna(subset=list(RATIO_OF[:2]))
         error, lower, upper = (np.asarray(known[key], np.float64) for key in RATIO_OF)
@@ -157,7 +166,10 @@ def estimate(
     values, of = finite(rows[metric]), statistic(name)
     if not len(values):
         return np.nan, np.nan, np.nan
-    return float(of.of(values)), *((np.nan, np.nan) if confidence is None else interval(values, of, confidence))
+    if confidence is None:
+        return float(of.of(values)), np.nan, np.nan
+    limits = share_interval(values, confidence) if METRIC[metric].share and name == "mean" else None
+    return float(of.of(values)), *(limits or interval(values, of, confidence))
 
 
 def row_keys(folder: str | Path, layout: Layout) -> list[str]:

@@ -32,6 +32,8 @@ SECTIONS = {
         "figures": "the figures of a sweep, as PNG and PDF",
         "report": "one HTML page of a sweep: tables, plots, worst trials",
         "consistency": "whether estimators know how wrong they are: errors and claims",
+        "integrity": "protection levels: which alert limits estimators serve, and how often they mislead",
+        "fit-overbound": "how much claims must be widened, of training drives, for 'integrity'",
     },
     "recordings and measured data": {
         "record": "simulate a scenario and keep it as a recording",

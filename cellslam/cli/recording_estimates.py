@@ -15,7 +15,7 @@ from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.benchmarks.trials.external_processes import ExternalProcesses
-from cellslam.cli.progress_bars import bars
+from cellslam.progress_bars import bars
 from cellslam.recordings.fitting.assumptions import Assumptions, assumed
 from cellslam.recordings.importing.manifest import tables_of
 from cellslam.scenarios.estimator_options import resolve

@@ -91,9 +91,9 @@ GALLERY = {
         "clutter/figures/sweep.png", "A sweep", "Median error against clutter, with 95 % intervals.", _SWEEP
     ),
     "consistency": Picture(
-        "clutter/figures/nees.png",
+        "clutter/figures/consistency-radio.clutter_scale-2.png",
         "Consistency",
-        "Mean NEES against time: estimators whose claims are right stay in the grey band.",
+        "Whether estimators know how wrong they are: those whose claims are right follow the dotted lines.",
         _SWEEP,
     ),
     "playback": Picture(
@@ -121,6 +121,7 @@ GALLERY = {
 }
 # Of the tutorials: the same, without a place in the gallery.
 OTHERS = {
+    "stanford": Picture("clutter/figures/stanford.png", "", "", _SWEEP),
     "tiny-map": Picture("tiny/map.png", "", "", ("cellslam run tiny --out tiny",)),
     "coasting-error": Picture(
         "coasting/error.png",

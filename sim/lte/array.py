@@ -23,6 +23,7 @@ from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
 from cellslam.sim.lte.steering_kernel import Circle, Series, SteeringModel, steer
 
 Complex = NDArray[np.complex128]
+ComplexSingle = NDArray[np.complex64]
 Floats = NDArray[np.float64]
 PORT_INTERVAL_S = 0.5e-3
 GAIN_CONTROL_S = 11e-3

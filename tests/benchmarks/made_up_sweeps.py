@@ -20,7 +20,7 @@ EMPTY = {**dict.fromkeys(ROW_KEYS), "scenario": "tiny", "trial": 0, "seed": 0, "
 
 
 def trajectory(snapshots: int = 9, sites: int = 2, vts: int = 4) -> bytes:
-    sizes = {"T": snapshots, "S": sites, "V": vts, "3": 3, "6": 6}
+    sizes = {"T": snapshots, "S": sites, "V": vts, "K": vts, "2": 2, "3": 3, "6": 6}
     columns = {name: np.ones([sizes[x] for x in shape]) for name, shape in SHAPES.items()}
     return pack(Trajectory(**columns | {"time_s": np.arange(float(snapshots))}))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from cellslam.benchmarks.scores.verdicts import Verdict
+    from cellslam.benchmarks.sweeps.trajectories import Trajectory
 
 MOST_TRAJECTORIES = 200
 POINTS_IN_TIME = 400
@@ -96,11 +97,15 @@ class SweepData:
         """The labels of all series, in order."""
         return tuple(dict.fromkeys(one.label for panel in self.panels for one in panel.series))
 
-    def over_time(self, series: Series, column: str) -> tuple[Floats, Floats] | None:
-        """Return time (P,) in s and a column of the trajectories (N, P), or (N, P, S) for offsets; None without any."""
+    def drives(self, series: Series) -> Iterator[Trajectory]:
+        """Yield the trajectories of a series that are kept, two hundred at the most."""
         ok = series.rows.loc[series.rows["status"] == "ok", "key"].tolist()[:MOST_TRAJECTORIES]
         kept = (trajectory_of(self.folder, key) for key in ok)
-        found = [trajectory for trajectory in kept if trajectory is not None and len(getattr(trajectory, column))]
+        yield from (trajectory for trajectory in kept if trajectory is not None)
+
+    def over_time(self, series: Series, column: str) -> tuple[Floats, Floats] | None:
+        """Return time (P,) in s and a column of the trajectories (N, P), or (N, P, S) for offsets; None without any."""
+        found = [trajectory for trajectory in self.drives(series) if len(getattr(trajectory, column))]
         if not found:
             return None
         end = min(float(trajectory.time_s[-1]) for trajectory in found)

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.figures.style import BLACK, GREY, HALF_WIDTH_IN, WIDTH_IN, Drawing, estimator_styles, write_all
+from cellslam.benchmarks.figures import consistency_page
+from cellslam.benchmarks.figures.consistency_page import Shown
+from cellslam.benchmarks.figures.style import GREY, HALF_WIDTH_IN, WIDTH_IN, Drawing, estimator_styles, write_all
 from cellslam.benchmarks.figures.sweep import sweep_data
 from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
+from cellslam.benchmarks.figures.sweep.stanford_diagram import draw_stanford
 from cellslam.benchmarks.figures.sweep.sweep_data import CurveChoice, Panel, Series, SweepData, axis, curve_keys
 from cellslam.benchmarks.scores.statistics import LEAST_VALUES, statistic
-from cellslam.benchmarks.tables.consistency import nees_band
-from cellslam.benchmarks.tables.summaries import CONFIDENCE, Layout, check_confidence, metrics_of
+from cellslam.benchmarks.tables.consistency import claimed_in
+from cellslam.benchmarks.tables.summaries import Layout, check_confidence, metrics_of
+from cellslam.benchmarks.trials.output_files import file_name
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats
@@ -58,10 +63,14 @@ def draw_sweep(
         "map_error": lambda figure: _cdf(figure, data, "map_gospa_m"),
         "error_time": lambda figure: _over_time(figure, data, "error_m", "horizontal error (m)"),
         "clock_offset": lambda figure: _over_time(figure, data, "offset_error_m", "clock offset error (m)"),
-        "nees": lambda figure: _nees(figure, data),
         "time_accuracy": lambda figure: _cost(figure, data, choice),
+        "map_looks": lambda figure: _looks(figure, data),
+        "stanford": lambda figure: draw_stanford(figure, data),
         "ranks": lambda figure: draw_ranks(figure, sweep_data.verdicts_of(data)),
     }
+    for panel in data.panels[:MOST_PANELS]:
+        name = file_name(f"consistency {panel.title}".replace(" = ", "-").replace(",", "").strip().replace(" ", "-"))
+        drawings[name] = partial(_consistency, data=data, panel=panel)
     return write_all(drawings, out_dir, formats, progress)
 
 
@@ -104,25 +113,41 @@ def _over_time(figure: Figure, data: SweepData, column: str, label: str) -> bool
     return bool(panels)
 
 
-def _nees(figure: Figure, data: SweepData) -> bool:
-    """Draw the mean over trials of the NEES, and the band in which it should be."""
-    from matplotlib.ticker import LogFormatter
+def _consistency(figure: Figure, data: SweepData, panel: Panel) -> bool:
+    """Draw the page of one panel."""
+    shown: dict[str, Shown] = {}
+    for one in panel.series:
+        drives = [claimed_in(drive) for drive in data.drives(one) if len(drive.nees)]
+        if drives and (curve := data.over_time(one, "nees")) is not None:
+            shown[one.label] = Shown(drives, *curve)
+    return consistency_page.draw(figure, shown, panel.title)
 
-    panels = _curves(data, "nees")
-    for axes, panel, styles in _panels(figure, data, list(panels)):
-        for name, (time_s, values) in panels[panel].items():
-            finite = np.isfinite(values).any(axis=0)
-            mean = np.full(len(time_s), np.nan)
-            mean[finite] = np.nanmean(values[:, finite], axis=0)
-            axes.plot(time_s, np.maximum(mean, 1e-3), **styles[name])
-        low, high = nees_band(max(len(values) for _, values in panels[panel].values()))
-        axes.axhspan(low, high, color=GREY, alpha=0.35, linewidth=0, label=f"{100 * CONFIDENCE:g} % if consistent")
-        axes.axhline(2.0, color=BLACK, linewidth=0.8, linestyle=":")
-        axes.set(yscale="log", xlabel="time (s)")
+
+def _looks(figure: Figure, data: SweepData) -> bool:
+    """Draw the root mean square of VTs' errors against how many snapshots saw them, and that of the bound."""
+    found = {
+        panel: {
+            one.label: np.concatenate([(d.map_error_m, d.map_bound_m, d.map_looks) for d in drives], axis=1)
+            for one in panel.series
+            if (drives := [drive for drive in data.drives(one) if len(drive.map_looks)])
+        }
+        for panel in data.panels[:MOST_PANELS]
+    }
+    panels = [panel for panel, of in found.items() if of]
+    for axes, panel, styles in _panels(figure, data, panels):
+        for label, (error, bound, looks) in found[panel].items():
+            bins = np.floor(np.log2(looks)).astype(int)
+            there = np.unique(bins)
+            x = [np.exp(np.log(looks[bins == b]).mean()) for b in there]
+            for values, style in ((error, styles[label]), (bound, {**styles[label], "linestyle": ":", "label": None})):
+                axes.plot(
+                    x, [np.sqrt(np.mean(values[bins == b] ** 2)) for b in there], **style, marker="o", markersize=3
+                )
+        axes.set(xscale="log", yscale="log", xlabel="snapshots that saw a VT")
+        axes.xaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
     if panels:
-        figure.axes[0].set_ylabel("NEES of the horizontal position,\nmean over trials")
+        figure.axes[0].set_ylabel("error of VTs (m), root mean square;\ndotted: bound of the same")
     return bool(panels)
 
 

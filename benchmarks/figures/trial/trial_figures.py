@@ -16,12 +16,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cellslam.benchmarks.bound.cramer_rao import BoundResult
-from cellslam.benchmarks.figures import style
+from cellslam.benchmarks.figures import consistency_page, style
+from cellslam.benchmarks.figures.consistency_page import Shown
 from cellslam.benchmarks.figures.style import GREY, TRUTH, WIDTH_IN
 from cellslam.benchmarks.figures.trial import array_calibration, trial_map
 from cellslam.benchmarks.figures.trial.trial_map import ODOMETRY_ALONE
-from cellslam.benchmarks.scores.metrics import errors_over_time
+from cellslam.benchmarks.scores.metrics import errors_of, errors_over_time
 from cellslam.benchmarks.scores.trial_result import TrialResult
+from cellslam.benchmarks.tables.consistency import claimed_by
 from cellslam.benchmarks.trials.output_files import file_name
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Recording
@@ -41,15 +43,16 @@ def drawings(
 ) -> dict[str, style.Drawing]:
     """Return the figures of a trial by name: functions that draw into a Figure, False where one does not apply.
 
-    `map` needs truth or a result; `error` needs truth; `associations` needs measurements; `clock_offsets` a
-    result with offsets, `calibration-ESTIMATOR` one with the array's calibration. `city` None: a map without
-    buildings.
+    `map` needs truth or a result; `error` needs truth or a reference, `consistency` a reference; `associations` needs
+    measurements; `clock_offsets` a result with offsets, `calibration-ESTIMATOR` one with the array's
+    calibration. `city` None: a map without buildings.
     """
     out: dict[str, style.Drawing] = {
         "map": lambda figure: trial_map.draw(figure, city, recording, results),
         "error": lambda figure: draw_error(figure, recording, results, bound),
         "associations": lambda figure: draw_associations(figure, recording, results),
         "clock_offsets": lambda figure: draw_clock_offsets(figure, recording, results),
+        "consistency": lambda figure: draw_consistency(figure, recording, results),
     }
     for name, calibration in ((name, r.calibration) for name, r in results.items() if r.calibration is not None):
         draw = partial(array_calibration.draw, calibration=calibration, provenance=recording.provenance)
@@ -102,6 +105,19 @@ def draw_error(figure: Figure, recording: Recording, results: Results, bound: Bo
     if magnified:
         panels[1].set(ylim=(0, 1.1 * max(small) + 1e-9), ylabel="the same, magnified (m)")
     return True
+
+
+def draw_consistency(figure: Figure, recording: Recording, results: Results) -> bool:
+    """Draw whether the estimators knew how wrong they were; needs a reference: of simulated drives a sweep has many."""
+    shown: dict[str, Shown] = {}
+    if recording.truth is not None:
+        return False
+    for name, result in results.items():
+        found, squared = errors_over_time(recording, result.poses), errors_of(recording, result).squared
+        if found is not None:
+            time_s = found[0] - recording.time_s[0]
+            shown[name] = Shown([claimed_by(recording, result)], time_s, squared[None])
+    return consistency_page.draw(figure, shown)
 
 
 def _error(axes: Axes, time_s: Floats, error: Floats, line: Mapping[str, Any]) -> None:

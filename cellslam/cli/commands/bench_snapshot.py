@@ -8,7 +8,7 @@ from pathlib import Path
 from cellslam.benchmarks.trials.output_files import check_file
 from cellslam.benchmarks.trials.trials import check_counts
 from cellslam.cli.arguments import add, whole
-from cellslam.cli.progress_bars import bars
+from cellslam.progress_bars import bars
 from cellslam.sim.errors import InputError
 
 EXAMPLES = ("bench snapshot lund-530",)

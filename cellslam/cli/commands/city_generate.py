@@ -11,7 +11,7 @@ from cellslam.benchmarks.trials.trials import check_counts
 from cellslam.cli.arguments import add
 from cellslam.cli.cities import write_pictures
 from cellslam.cli.output import note, note_long
-from cellslam.cli.progress_bars import bars
+from cellslam.progress_bars import bars
 from cellslam.scenarios.loading import from_tables
 from cellslam.scenarios.overrides import parse_all
 from cellslam.sim.city import build_city

@@ -11,7 +11,7 @@ from cellslam.benchmarks.trials.output_files import check_folder, file_name
 from cellslam.cli.arguments import FLAG, add
 from cellslam.cli.cities import add_mesh, city_of, write_pictures
 from cellslam.cli.output import note
-from cellslam.cli.progress_bars import bars
+from cellslam.progress_bars import bars
 from cellslam.sim.city.city_summary import summarise
 
 EXAMPLES = ("city inspect lund-530",)

@@ -12,7 +12,7 @@ from cellslam.benchmarks.trials.output_files import check_file, writing
 from cellslam.cli.arguments import FLAG, REPEATED, add, whole
 from cellslam.cli.cities import add_mesh, city_of, parse_positions, read_positions, take_positions
 from cellslam.cli.output import note
-from cellslam.cli.progress_bars import bars
+from cellslam.progress_bars import bars
 from cellslam.sim.city import City
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays.exchange import Traced, write_deepmimo, write_sionna

@@ -11,15 +11,19 @@ from cellslam.benchmarks.trials.output_files import check_file, write_tum
 from cellslam.cli.arguments import REPEATED, add
 from cellslam.cli.output import at_once
 from cellslam.sim.errors import InputError
-from cellslam.sim.recording import Recording
+from cellslam.sim.recording import Floats, Recording
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.scores.trial_result import TrialResult
     from cellslam.recordings.exporting.maps import Place
 
-EXAMPLES = ("export tiny.h5 --format csv --out tables", "export tiny.h5 --estimator fastslam --format tum --out t.tum")
+EXAMPLES = (
+    "export tiny.h5 --format csv --out tables",
+    "export tiny.h5 --estimator ekf-slam --format mcap --out drive.mcap",
+    "export tiny.h5 --estimator fastslam --format tum --out t.tum",
+)
 TABLES = ("csv", "mat")
-EXPORTS = (*TABLES, "tum", "geojson", "ply", "html", "calibration")
+EXPORTS = (*TABLES, "tum", "square", "mcap", "geojson", "ply", "html", "calibration")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -53,6 +57,8 @@ def command(arguments: Namespace) -> None:
             raise InputError("--format html plays back an estimate: say which --estimator, as in --estimator fastslam")
         if kind == "calibration" and not name:
             raise InputError("--format calibration is a CSV file of what an estimator found: say --estimator ekf-slam")
+        if kind == "square" and not name:
+            raise InputError("--format square holds what an estimator claims: say which, as in --estimator ekf-slam")
         if kind not in TABLES:
             check_file(out)
     recording, result = Recording.load(path, arguments.accept_changed), None
@@ -69,6 +75,9 @@ def command(arguments: Namespace) -> None:
         else:
             check_result(kind, result)
             at_once(out, partial(_write, kind, recording, result, place))
+            if kind == "tum" and result is not None and not result.smoothed:
+                columns = (recording.time_s, result.poses, result.covariances)
+                at_once(out.with_name(f"{out.name}.cov"), partial(_write_covariances, columns))
 
 
 def check_result(kind: str, result: TrialResult | None) -> None:
@@ -81,14 +90,20 @@ def check_result(kind: str, result: TrialResult | None) -> None:
 
 def _write(kind: str, recording: Recording, result: TrialResult | None, place: Place | None, file: Path) -> None:
     """Write an estimate, or without one the truth or reference."""
+    from cellslam.benchmarks.report.playback import world_of, write_playback
     from cellslam.recordings.exporting import maps, tables
+    from cellslam.recordings.exporting.covariances import write_square
+    from cellslam.recordings.exporting.mcap_file import write_mcap
 
     if kind == "html" and result is not None:
-        from cellslam.benchmarks.report.playback import write_playback
-
         write_playback(recording, result, file)
     elif kind == "calibration" and result is not None and result.calibration is not None:
         tables.write_calibration(result.calibration, recording.provenance, file)
+    elif kind == "square" and result is not None:
+        write_square(file, result.estimator, recording.time_s, result.poses, result.covariances)
+    elif kind == "mcap":
+        world = world_of(recording)
+        write_mcap(recording, result, world.scene.city if world is not None else None, file)
     elif kind == "tum":
         shown = maps.shown(recording, result)
         write_tum(file, shown.time_s, shown.poses)
@@ -96,6 +111,12 @@ def _write(kind: str, recording: Recording, result: TrialResult | None, place: P
         maps.ply(maps.shown(recording, result), file)
     elif place is not None:
         maps.geojson(maps.shown(recording, result), place, file)
+
+
+def _write_covariances(columns: tuple[Floats, Floats, Floats], file: Path) -> None:
+    from cellslam.recordings.exporting.covariances import write_side_file
+
+    write_side_file(file, *columns)
 
 
 def _degrees(text: str) -> tuple[float, float]:

@@ -28,7 +28,7 @@ def command(arguments: Namespace) -> None:
     from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
     from cellslam.benchmarks.sweeps.store import lost_in_words
     from cellslam.benchmarks.trials.output_files import check_folder
-    from cellslam.cli.progress_bars import bars
+    from cellslam.progress_bars import bars
 
     folder = Path(arguments.folder)
     if folder.is_file():

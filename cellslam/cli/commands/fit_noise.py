@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from cellslam.cli.arguments import add
-from cellslam.cli.progress_bars import bars
+from cellslam.progress_bars import bars
 from cellslam.sim.recording import Recording
 
 EXAMPLES = ("fit-noise drive.h5",)

@@ -17,7 +17,7 @@ from cellslam.benchmarks.trials.output_files import check_file, write_text
 from cellslam.cli.arguments import add, number
 from cellslam.cli.cities import find_city
 from cellslam.cli.output import note
-from cellslam.cli.progress_bars import bars
+from cellslam.progress_bars import bars
 from cellslam.scenarios.loading import from_tables, load, preset_names
 from cellslam.sim.city.city import City, Floats
 from cellslam.sim.city.files.osm import local_m

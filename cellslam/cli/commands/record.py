@@ -9,7 +9,7 @@ from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.output_files import check_file, check_folder
 from cellslam.cli.arguments import add, whole
 from cellslam.cli.output import note, note_long, size_of
-from cellslam.cli.progress_bars import bars
+from cellslam.progress_bars import bars
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.overrides import parse_all

@@ -14,9 +14,9 @@ from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.cli.arguments import ESTIMATION, SET_HELP, add, limits
 from cellslam.cli.between_drives import check_map, with_calibration
 from cellslam.cli.output import note
-from cellslam.cli.progress_bars import bars
 from cellslam.cli.recording_estimates import assumed_by, origin_by, warnings_by
 from cellslam.cli.results import Results, left_out
+from cellslam.progress_bars import bars
 from cellslam.recordings.fitting.fit_sizes import in_words, toml
 from cellslam.scenarios.estimator_options import with_options
 from cellslam.scenarios.scenario import MapConfig

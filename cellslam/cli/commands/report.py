@@ -26,7 +26,7 @@ def command(arguments: Namespace) -> None:
     from cellslam.benchmarks.report.page import write_report
     from cellslam.benchmarks.report.worst_trials import Choice, load_waveforms
     from cellslam.benchmarks.sweeps.store import lost_in_words
-    from cellslam.cli.progress_bars import bars
+    from cellslam.progress_bars import bars
 
     choice = Choice(arguments.worst, arguments.metric, tuple(arguments.estimators))
     folder, out = Path(arguments.folder), Path(arguments.out) if arguments.out else None

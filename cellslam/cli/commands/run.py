@@ -16,8 +16,8 @@ from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, Trial, check_c
 from cellslam.cli.arguments import ESTIMATION, add, limits, whole
 from cellslam.cli.between_drives import check_map, with_calibration, with_map
 from cellslam.cli.output import note_long
-from cellslam.cli.progress_bars import bars
 from cellslam.cli.results import Results, left_out
+from cellslam.progress_bars import bars
 from cellslam.scenarios import external_options
 from cellslam.scenarios.estimator_options import with_options
 from cellslam.scenarios.loading import load

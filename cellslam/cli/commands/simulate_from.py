@@ -11,7 +11,7 @@ from cellslam.benchmarks.trials.output_files import check_file
 from cellslam.cli.arguments import REPEATED, add, whole
 from cellslam.cli.cities import parse_positions, read_positions, take_positions
 from cellslam.cli.output import note
-from cellslam.cli.progress_bars import bars
+from cellslam.progress_bars import bars
 from cellslam.sim.errors import InputError
 
 if TYPE_CHECKING:

@@ -14,20 +14,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
-from cellslam.sim.lte.array import AntennaArray, CircularArray, Complex, Floats, Steering, array_at, switching_times_s
+from cellslam.sim.lte.array import (
+    AntennaArray,
+    CircularArray,
+    Complex,
+    ComplexSingle,
+    Floats,
+    Steering,
+    array_at,
+    switching_times_s,
+)
 from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.signal.path_estimator.acquire_kernel import Demands
+from cellslam.sim.lte.signal.path_estimator.fit_kernel import DEGREE, MARGIN, STENCIL, DelayGrid
 from cellslam.sim.lte.signal.path_estimator.search_kernel import Probe
 from cellslam.sim.lte.signal.tone_reduction import ToneReduction, reduction_of
 from cellslam.sim.lte.steering_kernel import SteeringModel, steer
 from cellslam.sim.waveform.waveform import Waveform
 
-ComplexSingle = NDArray[np.complex64]
 AZIMUTHS, ELEVATIONS = 28, 7
 LOWEST_RAD, HIGHEST_RAD = np.radians(-15.0), np.radians(60.0)
 # Pitch of the searched distances at the bandwidth of 100 resource blocks of LTE, which lengths here are given for.
 DELAY_PITCH_M, REFERENCE_BANDWIDTH_HZ = 7.5, 18e6
 WIDEST_LTE_HZ = 20e6
+TINY = np.float32(1e-30)
 STRETCH_BINS = 31  # of delay in LTE, over which noise is taken for constant
 
 
@@ -85,14 +95,30 @@ class Receiver:
 
     @cached_property
     def delays_m(self) -> Floats:
-        """Searched distances (D,) in m."""
-        return np.arange(self.window_min_m, self.window_max_m + self.pitch_m, self.pitch_m)
+        """Searched distances (D,) in m, with a margin on either side of the window."""
+        beyond = MARGIN * self.pitch_m
+        return np.arange(self.window_min_m - beyond, self.window_max_m + self.pitch_m + beyond, self.pitch_m)
+
+    @cached_property
+    def grid(self) -> DelayGrid:
+        """What correlations with the tones of other distances are made from: shares are fitted to the tones."""
+        way = np.linspace(-1.0, 1.0, 8 * DEGREE)
+        places, between = np.arange(STENCIL) - 0.5 * (STENCIL - 1), 0.5 * way
+        known, asked = (np.exp(-1j * np.outer(self.rate, self.pitch_m * at)) for at in (places, between))
+        shares = np.linalg.lstsq(known, asked, rcond=1e-6)[0].real
+        powers = np.linalg.lstsq(np.vander(way, DEGREE + 1, increasing=True), shares.T, rcond=None)[0]
+        return DelayGrid(self.delays_m, np.sqrt(len(self.rate)) * powers, self.demands.coarser)
 
     @cached_property
     def delay_matrix(self) -> ComplexSingle:
         """Unit vectors (tones, D) that pick each searched distance."""
         matrix = np.exp(1j * np.outer(self.rate, self.delays_m)) / np.sqrt(len(self.rate))
         return np.ascontiguousarray(matrix, np.complex64)
+
+    def at_distances(self, y: Complex | ComplexSingle) -> ComplexSingle:
+        """Return samples (ports, tones), those received, correlated with the tones of the searched distances (ports,
+        D)."""
+        return np.asarray(self.fitted.of(y).astype(np.complex64) @ self.delay_matrix, np.complex64)
 
     @cached_property
     def directions(self) -> tuple[Floats, Floats]:
@@ -101,15 +127,6 @@ class Receiver:
         elevation = np.linspace(LOWEST_RAD, HIGHEST_RAD, ELEVATIONS)
         grid = np.meshgrid(azimuth, elevation, indexing="ij")
         return grid[0].ravel(), grid[1].ravel()
-
-    @cached_property
-    def quiet_matrix(self) -> ComplexSingle:
-        """Every other column of the delay matrix with a Hann taper: what is left of a path far from its delay is
-        little.
-        """
-        taper = np.hanning(len(self.rate) + 2)[1:-1]
-        taper = taper / np.sqrt(np.mean(taper**2))
-        return np.ascontiguousarray(self.delay_matrix[:, ::2] * taper[:, None], np.complex64)
 
     @cached_property
     def apart(self) -> bool:
@@ -156,6 +173,11 @@ def phase_rate(tones_hz: Floats) -> Floats:
     return np.asarray(2.0 * np.pi * (tones_hz - tones_hz.mean()) / SPEED_OF_LIGHT_MPS, np.float64)
 
 
+def _energy(vectors: ComplexSingle) -> NDArray[np.float32]:
+    """Return the squared norms (..., 1) of vectors (..., P)."""
+    return np.asarray(np.sum(vectors.real**2 + vectors.imag**2, axis=-1, keepdims=True), np.float32)
+
+
 @dataclass(frozen=True)
 class Motion:
     """The receiver during one snapshot: it steers with the Doppler phase of its velocity (3,), and weighs its ports.
@@ -174,27 +196,26 @@ class Motion:
         return motion
 
     @cached_property
-    def turned(self) -> Complex:
+    def turned(self) -> ComplexSingle:
         """Steering vectors (2, K, P) of the searched directions, Doppler included."""
         r = self.receiver
         phase = np.outer(unit_vector(*r.directions) @ self.velocity_mps, r.doppler)
-        return np.asarray(r._steering * r._sets(np.exp(1j * phase)), np.complex128)
+        return np.asarray(r._steering * r._sets(np.exp(1j * phase)), np.complex64)
 
     @cached_property
     def beams(self) -> ComplexSingle:
         """Beams (2, K, P) of the search: orthonormal bases of what a direction's two polarisations can do."""
-        h, v = self.turned * self.receiver._sets(self.factor[None])
-        h = h / np.maximum(np.linalg.norm(h, axis=1, keepdims=True), 1e-30)
+        h, v = self.turned * self.receiver._sets(self.factor[None]).astype(np.complex64)
         if not self.receiver.apart:  # else the two belong to different ports, and are orthogonal as they are
-            v = v - np.sum(h.conj() * v, axis=1, keepdims=True) * h
-        v = v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-30)
-        return np.ascontiguousarray(np.stack([h, v]).conj(), np.complex64)
+            v = v - np.sum(h.conj() * v, axis=1, keepdims=True) / np.maximum(_energy(h), TINY) * h
+        both = np.stack([h, v])
+        return np.asarray(both.conj() / np.sqrt(np.maximum(_energy(both), TINY)), np.complex64)
 
     @cached_property
     def probe(self) -> Probe:
         """What the compiled search looks at samples with."""
         r = self.receiver
-        return Probe(self.beams, r.delay_matrix, r.delays_m, *r.directions)
+        return Probe(self.beams, r.delay_matrix, r.grid, *r.directions)
 
     @cached_property
     def model(self) -> SteeringModel:

@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
-from cellslam.sim.lte.array import CircularArray, Complex, PathSet, array_at, miscalibrated
+from cellslam.sim.lte.array import CircularArray, Complex, ComplexSingle, PathSet, array_at, miscalibrated
 from cellslam.sim.lte.links import Cells, link_table, slant
 from cellslam.sim.lte.persisting_errors import floors
 from cellslam.sim.lte.radio_config import RadioConfig
@@ -25,7 +25,7 @@ from cellslam.sim.lte.signal import symbol
 from cellslam.sim.lte.signal.channel import SCATTERERS, Surroundings, arriving_paths
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
-from cellslam.sim.lte.signal.receiver import ComplexSingle, Motion, Receiver, phase_rate, receiver_of
+from cellslam.sim.lte.signal.receiver import Motion, Receiver, phase_rate, receiver_of
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.lte.statistical.measurement_kernel import Fields, write_attitude, write_persisting
@@ -100,7 +100,7 @@ class SignalLevel:
     def receive(
         self, paths: PathColumns, pose: Floats, velocity_mps: Floats, snapshot: int, slots: Ints,
         rng: np.random.Generator,
-    ) -> dict[int, Complex]:  # fmt: skip
+    ) -> dict[int, ComplexSingle]:  # fmt: skip
         """Return the elements (ports, tones), in roots of mW, on every comb of reference elements in use."""
         sites = len(self.offsets_m)
         scattered = self.surroundings.add(paths, pose[:3])
@@ -113,7 +113,7 @@ class SignalLevel:
             rows = slice(int(scattered.rows[site]), int(scattered.rows[site + 1]))
             if rows.stop > rows.start:
                 self._send(site, scattered, rows, pose, velocity_mps, snapshot, slots, total, rng)
-        return {comb: elements.astype(np.complex128) for comb, elements in total.items()}
+        return total
 
     def _send(
         self, site: int, paths: PathColumns, rows: slice, pose: Floats, velocity_mps: Floats, snapshot: int,
@@ -141,16 +141,17 @@ class SignalLevel:
             off, down = (paths.departure_rad[rows] - [self.cells.azimuth_rad[cell], 0.0]).T
             sector_db = sector_gain_db(off, down, float(self.cells.tilt_rad[cell]), peak_dbi=0.0)
             amplitude = 10.0 ** ((config.eirp_dbm + sector_db) / 20.0)
-            weighted = on_ports[int(self.links.port[link]) % 2] * amplitude
+            weights = on_ports[int(self.links.port[link]) % 2] * amplitude
             own = {int(self.combs[other]) for other in np.flatnonzero(self.links.cell == cell)}
             for comb, elements in total.items():
-                shift = np.exp(-2j * np.pi * comb * self.waveform.comb_step_hz * length / SPEED_OF_LIGHT_MPS)
-                shifted = (weighted * shift).astype(np.complex64)
+                shift = -2j * np.pi * comb * self.waveform.comb_step_hz / SPEED_OF_LIGHT_MPS
                 if comb == self.combs[link]:
+                    shifted = (weights * np.exp(shift * length)).astype(np.complex64)
                     normal = rng.standard_normal((*elements.shape, 2), np.float32)
                     sent = self.sent[link][slots]
                     symbol.add_pilots(elements, sums.of(shifted), sent, normal, config.evm * np.sqrt(0.5))
                 elif comb not in own and config.load > 0.0:
+                    shifted = (weights[:, ::together] * np.exp(shift * length[::together])).astype(np.complex64)
                     words = rng.integers(0, 65536, elements.shape, np.uint16)
                     share = float(whole / np.sqrt(self.cells.ports[cell]))
                     symbol.add_data(elements, sums.of_every(together, shifted), words, config.load, share)
@@ -176,13 +177,13 @@ class SignalLevel:
         return geometry
 
     @cached_property
-    def sent(self) -> Complex:
+    def sent(self) -> ComplexSingle:
         """The reference values (L, slots, tones) of every link."""
         combs = self.combs.tolist()
         return np.array([
             [self.waveform.values(self.name(link), comb, slot) for slot in range(self.waveform.slots)]
             for link, comb in enumerate(combs)
-        ])  # fmt: skip
+        ], np.complex64)  # fmt: skip
 
     def slots(self, snapshot: int) -> Ints:
         """Return the slot of the frame in which each array port is sampled (ports,)."""
@@ -191,13 +192,13 @@ class SignalLevel:
             (first + np.rint(self.receiver.times_s / slot_s).astype(np.int64)) % self.waveform.slots, np.int64
         )
 
-    def samples(self, link: int, received: dict[int, Complex], slots: Ints) -> Complex:
+    def samples(self, link: int, received: dict[int, ComplexSingle], slots: Ints) -> ComplexSingle:
         """Return a link's descrambled samples (ports, tones), colliding cells cancelled, delays counted from its site's
         synchronisation.
         """
         site, comb = int(self.links.site[link]), int(self.combs[link])
-        y: Complex = received[comb] * self.sent[link][slots].conj()
-        y = y * np.exp(1j * phase_rate(self.waveform.tones_hz) * self.sync_m[site])
+        later = np.exp(1j * phase_rate(self.waveform.tones_hz) * self.sync_m[site]).astype(np.complex64)
+        y: ComplexSingle = received[comb] * (self.sent[link].conj() * later)[slots]
         for other in np.flatnonzero(self.combs == comb):
             if other != link:
                 apart = float(self.sync_m[self.links.site[other]] - self.sync_m[site])

@@ -40,9 +40,9 @@ class PathSums:
         return self._transformed(weights) if self._transforms else np.asarray(weights @ self._phasors, np.complex64)
 
     def of_every(self, step: int, weights: ComplexSingle) -> ComplexSingle:
-        """Return the same sum over every `step`-th path alone."""
+        """Return the same sum over every `step`-th path alone, of the weights of these."""
         some = self._phasors_of(self.length_m[::step]) if self._transforms else self._phasors[::step]
-        return np.asarray(weights[:, ::step] @ some, np.complex64)
+        return np.asarray(weights @ some, np.complex64)
 
     @cached_property
     def _phasors(self) -> ComplexSingle:
@@ -131,7 +131,5 @@ def add_data(total: Array, response: Array, words: Array, load: float, amplitude
     for m in range(total.shape[0]):
         for f in range(total.shape[1]):
             word = words[m, f]
-            if (word >> 2) < limit:
-                real = size if word & 1 else -size
-                imaginary = size if word & 2 else -size
-                total[m, f] += response[m, f] * complex(real, imaginary)
+            own = size if (word >> 2) < limit else 0.0
+            total[m, f] += response[m, f] * complex(own if word & 1 else -own, own if word & 2 else -own)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.array import Complex, Floats
+from cellslam.sim.lte.array import Complex, ComplexSingle, Floats
 
 MOST_LOSS_DB = 0.5  # of a path at the edge of the window
 SHORTEST_WINDOW_M = 1750.0  # windows below this, the default, are taken for as long
@@ -31,7 +31,7 @@ class ToneReduction:
     taps: Complex
     tones_hz: Floats
 
-    def of(self, y: Complex) -> Complex:
+    def of(self, y: Complex | ComplexSingle) -> Complex | ComplexSingle:
         """Return samples (ports, groups) of samples (ports, tones), noise per sample as there, in their unit."""
         if self.size == 1:
             return y

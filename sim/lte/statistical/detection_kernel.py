@@ -142,16 +142,16 @@ def _merge(n: int, geo: Array, gamma: Array, work: Array) -> None:
 
 @part
 def _detect_paths(
-    n: int, geo: Array, gamma: Array, model: Model, pose: Array, vt: Array, port: int, attitude: Array, fields: Fields,
+    n: int, geo: Array, persisting: Array, gamma: Array, model: Model, pose: Array, vt: Array, port: int,
     streams: Streams, work: Array, out: Array,
 ) -> int:  # fmt: skip
-    """Draw the measurements of one link's n true paths into `out`; return how many."""
+    """Draw the measurements of one link's n true paths, of `persisting` errors (n, 3), into `out`; return how many."""
     _sort_by_strength(n, gamma, work)
     _overlap(n, geo, gamma, model, work)
     _draw_detections(n, geo, gamma, model, pose, vt, port, streams.detection, work)
     _merge(n, geo, gamma, work)
     count, noise = 0, streams.noise
-    white, slow = np.empty(3), np.empty(3)
+    white = np.empty(3)
     for i in range(n):
         e_d, e_a, e_e = noise.standard_normal(), noise.standard_normal(), noise.standard_normal()
         if work[i, DETECTED] == 0.0:
@@ -160,12 +160,11 @@ def _detect_paths(
         effective = max(gamma[i] * work[i, LEFTOVER], 1e-2)
         measurement.write_claims(row, effective, geo[i, 2], model)
         measurement.write_std(effective, geo[i, 2], model.accuracy.white, model, white)
-        measurement.write_persisting(geo[i], pose, vt[i], port, attitude, fields, slow)
         for r in range(3):
             row[k.MERGING_SHIFT + r] = work[i, SHIFT + r] * model.accuracy.scale
-        row[k.DISTANCE] = geo[i, 0] + row[k.MERGING_SHIFT] + white[0] * e_d + slow[0]
-        row[k.AZIMUTH] = geo[i, 1] + row[k.MERGING_SHIFT + 1] + white[1] * e_a + slow[1]
-        row[k.ELEVATION] = geo[i, 2] + row[k.MERGING_SHIFT + 2] + white[2] * e_e + slow[2]
+        row[k.DISTANCE] = geo[i, 0] + row[k.MERGING_SHIFT] + white[0] * e_d + persisting[i, 0]
+        row[k.AZIMUTH] = geo[i, 1] + row[k.MERGING_SHIFT + 1] + white[1] * e_a + persisting[i, 1]
+        row[k.ELEVATION] = geo[i, 2] + row[k.MERGING_SHIFT + 2] + white[2] * e_e + persisting[i, 2]
         measurement.fold(row)
         row[k.SNR_DB] = 10.0 * math.log10(min((gamma[i] + work[i, ADDED]) / model.budget.samples, model.budget.snr_cap))
         row[k.PATH] = i
@@ -215,6 +214,8 @@ def measure_block(
     for i in range(len(rows) - 1):
         widest = max(widest, rows[i + 1] - rows[i])
     geo, attitude = np.empty((sites, widest, 3)), np.empty(3)
+    ports = links.port.max() + 1
+    persisting = np.empty((sites, ports, widest, 3))  # links of one port and site share them
     power = np.empty((count_links, widest))
     cell_power = np.empty(len(links.cell_site))
     gamma, work = np.empty(widest), np.empty((widest, WIDTH))
@@ -223,11 +224,15 @@ def measure_block(
     out, used = np.empty((max(256, 4 * len(paths.vt_m)), k.COLUMNS)), 0
     for t in range(len(poses)):
         base = t * sites
+        measurement.write_attitude(first_snapshot + t, fields, attitude)
         for s in range(sites):
             for i in range(rows[base + s + 1] - rows[base + s]):
-                measurement.body_geometry(poses[t], paths.vt_m[rows[base + s] + i], geo[s, i])
+                vt = paths.vt_m[rows[base + s] + i]
+                measurement.body_geometry(poses[t], vt, geo[s, i])
+                for port in range(ports):
+                    error = persisting[s, port, i]
+                    measurement.write_persisting(geo[s, i], poses[t], vt, port, attitude, fields, error)
         measurement.link_powers(paths, base, geo, links, budget.eirp_mw, power, cell_power)
-        measurement.write_attitude(first_snapshot + t, fields, attitude)
         total = 0.0
         for cell in range(len(cell_power)):
             total += cell_power[cell]
@@ -242,8 +247,8 @@ def measure_block(
             for i in range(n):
                 gamma[i] = budget.samples * min(power[link, i] / sigma2, budget.snr_cap)
             count = _detect_paths(
-                n, geo[site], gamma, model, poses[t], paths.vt_m[first:], links.port[link], attitude, fields, streams,
-                work, buffer,
+                n, geo[site], persisting[site, links.port[link]], gamma, model, poses[t], paths.vt_m[first:],
+                links.port[link], streams, work, buffer,
             )  # fmt: skip
             for i in range(n):
                 count += clutter.structured_clutter(i, n, geo[site], gamma, model, streams.clutter, buffer[count:])

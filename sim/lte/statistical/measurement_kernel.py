@@ -9,10 +9,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from cellslam.sim.compiling import njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import Array, LinkTable, Model, PathColumns, Spread
+from cellslam.sim.lte.steering_kernel import write_phasors
+
+COMPONENT = (0, 1, 2, 1, 2, 0, 1, 2)  # that each field of direction, then of place, is an error of
 
 
 class Fields(NamedTuple):
@@ -178,26 +183,23 @@ def write_persisting(
     """Write the persisting error of distance, azimuth and elevation of a path into `out` (3,)."""
     ca, sa, ce, se = math.cos(geo[1]), math.sin(geo[1]), math.cos(geo[2]), math.sin(geo[2])
     count = fields.direction_wave.shape[1]
-    root = math.sqrt(2.0 / count)
-    tangent = se / max(ce, 0.05)
+    angle, cosine, sine = np.empty(8 * count), np.empty(8 * count), np.empty(8 * count)
+    for f in range(5):
+        for w in range(count):
+            wave = fields.direction_wave[f, w]
+            angle[f * count + w] = wave[0] * ce * ca + wave[1] * ce * sa + wave[2] * se + fields.direction_phase[f, w]
+    for f in range(3):
+        for w in range(count):
+            wave, phase = fields.place_wave[f, w], fields.place_phase[f, w] + fields.port_phase[f, w, port % 4]
+            here = wave[0] * pose[0] + wave[1] * pose[1] + wave[2] * pose[2]
+            angle[(5 + f) * count + w] = here + wave[3] * vt[0] + wave[4] * vt[1] + wave[5] * vt[2] + phase
+    write_phasors(angle, cosine, sine)
     # A frame that has turned by small yaw, pitch, roll sees the direction turned the other way.
+    tangent = se / max(ce, 0.05)
     out[0] = 0.0
     out[1] = -attitude[0] + tangent * (attitude[1] * sa + attitude[2] * ca)
     out[2] = attitude[1] * ca - attitude[2] * sa
-    for f in range(5):
-        if fields.direction_std[f] > 0.0:
-            total = 0.0
-            for w in range(count):
-                wave = fields.direction_wave[f, w]
-                angle = wave[0] * ce * ca + wave[1] * ce * sa + wave[2] * se
-                total += math.cos(angle + fields.direction_phase[f, w])
-            out[f if f < 3 else f - 2] += fields.direction_std[f] * root * total
-    for f in range(3):
-        if fields.place_std[f] > 0.0:
-            total = 0.0
-            for w in range(count):
-                wave = fields.place_wave[f, w]
-                angle = wave[0] * pose[0] + wave[1] * pose[1] + wave[2] * pose[2]
-                angle += wave[3] * vt[0] + wave[4] * vt[1] + wave[5] * vt[2]
-                total += math.cos(angle + fields.place_phase[f, w] + fields.port_phase[f, w, port % 4])
-            out[f] += fields.place_std[f] * root * total
+    for f in range(8):
+        std = fields.direction_std[f] if f < 5 else fields.place_std[f - 5]
+        total = cosine[f * count : (f + 1) * count].sum()
+        out[COMPONENT[f]] += std * math.sqrt(2.0 / count) * total

@@ -23,7 +23,8 @@ from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.sim.recording import Recording
 from tests.benchmarks.made_up_sweeps import made_up, plan_of
 
-ALL = {"sweep", "error_cdf", "map_error", "error_time", "clock_offset", "nees", "ranks", "time_accuracy"}
+ALL = {"sweep", "error_cdf", "map_error", "error_time", "clock_offset", "ranks", "stanford", "time_accuracy"}
+ALL |= {f"consistency-radio.load-{load}" for load in ("0.01", "1")}
 
 
 @pytest.fixture

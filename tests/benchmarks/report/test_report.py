@@ -83,6 +83,7 @@ def test_summary_and_curves_hold_the_medians(folder: Path, said: dict[str, Any])
     significant_pairs = [text.partition(":") for text in said["ranks"]["significant_pairs"]]
     assert [where for where, *_ in significant_pairs] == ["radio.load = 0.1", "radio.load = 1", "overall"]
     assert all(" of 6 pairs" in text for *_, text in significant_pairs)
+    assert said["integrity"].startswith("data:image/svg")
     curves = {curve["key"]: curve["lines"] for curve in said["curves"]}
     assert set(curves) == {"radio.load", PARTICLES}
     along = {line["name"]: line["metrics"].get("position_rmse_m", [[]])[0] for line in curves[PARTICLES]}

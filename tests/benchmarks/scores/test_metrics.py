@@ -27,7 +27,7 @@ def perfect(recording):
     return TrialResult(
         estimator="perfect",
         poses=truth.poses,
-        covariances=np.tile(np.eye(6), (count, 1, 1)),
+        covariances=np.tile(0.5 * np.eye(6), (count, 1, 1)),
         association=truth.measurement_vt,
         clock_offset_m=np.tile(truth.clock_offsets_m, (count, 1)),
         clock_offset_variance_m2=np.ones((count, len(recording.sites))),
@@ -52,9 +52,14 @@ def test_a_perfect_estimate_scores_perfectly(make_recording):
     scores = score(recording, perfect(recording), bound)
     assert tuple(scores) == METRIC_KEYS
     assert scores["bound_position_rmse_m"] == pytest.approx(5.0) and scores["bound_merged_m"] == 6.0
-    one = {"association_precision", "association_recall", "wall_share"}
+    one = {"association_precision", "association_recall", "wall_share", "availability"}
+    one |= {key for key in METRIC_KEYS if "coverage" in key}
     assert {key: scores[key] for key in one} == dict.fromkeys(one, 1.0)
-    zero = set(METRIC_KEYS) - {"bound_position_rmse_m", "bound_merged_m", *one}
+    assert scores["map_rmse_m"] is scores["bound_map_m"] is None  # this bound is of the position alone
+    sizes = {"map_rmse_m", "bound_map_m"} | {
+        key for key in METRIC_KEYS if key.startswith(("protection", "claimed", "log_score", "energy_score"))
+    }
+    zero = set(METRIC_KEYS) - {"bound_position_rmse_m", "bound_merged_m", *one, *sizes}
     assert {key: scores[key] for key in zero} == pytest.approx(dict.fromkeys(zero, 0.0), abs=1e-9)
 
 

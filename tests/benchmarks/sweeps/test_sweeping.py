@@ -44,9 +44,9 @@ def test_processes_give_the_rows_of_one_process(place: Path) -> None:
 def test_what_failed_is_done_again_when_that_is_asked_for(place: Path) -> None:
     """Which kinds of misfits cost their own rows only: test_hostile.py."""
     names = [f"misfits:{name}" for name in ("Hangs", "Exits", "Good")]
-    assert main(words(*names, trials=1, more=("--time-limit", "2", "--jobs", "1"))) == 1
+    assert main(words(*names, trials=1, more=("--time-limit", "5", "--jobs", "1"))) == 1
     found = {row["estimator"].removeprefix("misfits:"): row for row in rows("out")}
-    assert found["Hangs"]["error"] == "no answer within the time limit of 2 s; alone it was lost again"
+    assert found["Hangs"]["error"] == "no answer within the time limit of 5 s; alone it was lost again"
     assert found["Exits"]["error"] == "its process ended with exit status 7; alone it was lost again"
     (place / "misfits.py").write_text(MISFITS.replace("NOW = 5", "NOW = -1"))
     tasks._request_of.cache_clear()

@@ -6,11 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.stats import chi2
 
+from cellslam.benchmarks.figures.consistency_page import Shown, draw
+from cellslam.benchmarks.figures.sweep.sweep_data import load
 from cellslam.benchmarks.scores.map_scores import vt_nees
-from cellslam.benchmarks.sweeps.trajectories import Trajectory
-from cellslam.benchmarks.tables.consistency import consistency, nees_band
+from cellslam.benchmarks.sweeps.trajectories import LATER, SHAPES
+from cellslam.benchmarks.tables.consistency import claimed_in, consistency, nees_band
 from cellslam.cli.main import main
 from cellslam.sim.errors import InputError
 from cellslam.slam.api import VtEstimate
@@ -20,7 +23,10 @@ TRIALS, SNAPSHOTS, SITES, VTS = 100, 41, 2, 30
 
 
 def trajectory(rng: np.random.Generator, claimed: float) -> bytes:
-    """A drive whose errors have unit deviation, and whose estimator claims `claimed`; one more clock is known."""
+    """A drive whose errors have unit deviation, and whose estimator claims `claimed`; one more clock is known.
+
+    It has no columns but those of the first version.
+    """
     square, known = 1.0 / claimed**2, np.zeros((SNAPSHOTS, 1))
     columns: dict[str, Any] = {
         "time_s": np.linspace(0.0, 20.0, SNAPSHOTS),
@@ -30,7 +36,7 @@ def trajectory(rng: np.random.Generator, claimed: float) -> bytes:
         "vt_nees": np.where(rng.random(VTS) < 0.1, np.nan, chi2.rvs(3, size=VTS, random_state=rng) * square),
     }
     file = io.BytesIO()
-    np.savez_compressed(file, **{name: columns.get(name, np.empty(0)) for name in Trajectory.__dataclass_fields__})
+    np.savez_compressed(file, **{name: columns.get(name, np.empty(0)) for name in SHAPES if name not in LATER})
     return file.getvalue()
 
 
@@ -46,6 +52,8 @@ def test_an_honest_estimator_lies_in_the_bands_and_one_that_claims_too_much_does
     assert list(consistent["time_s"]) == pytest.approx(np.arange(1, 21))
     assert consistent["nees"].between(consistent["nees_low"], consistent["nees_high"]).mean() >= 0.85
     assert (confident["nees"] > confident["nees_high"]).all()
+    assert consistent["position_share"].mean() == pytest.approx(0.95, abs=0.02)
+    assert confident["position_share"].mean() == pytest.approx(1.0 - 0.05**0.36, abs=0.03)
     assert consistent["clock_share"].between(0.91, 0.99).all()
     assert confident["clock_share"].to_numpy() == pytest.approx(0.77, abs=0.09)
     assert (consistent["clocks"] == TRIALS * SITES).all()
@@ -55,6 +63,26 @@ def test_an_honest_estimator_lies_in_the_bands_and_one_that_claims_too_much_does
     assert 0.85 * TRIALS * VTS < last["vts"] < 0.95 * TRIALS * VTS
     assert confident.iloc[-1]["vt_share"] < 0.6 and consistent["vt_share"].isna().sum() == 19
     assert nees_band(100) == pytest.approx((1.627, 2.411), abs=1e-3)  # means of chi-square
+
+
+def test_the_page_shows_who_claims_too_much_and_over_how_many_drives(tmp_path: Path) -> None:
+    data = load(swept(tmp_path, {"fastslam": 1.0, "ekf-slam": 0.6}))
+    shown = {
+        one.label: Shown([claimed_in(drive) for drive in data.drives(one)], *data.over_time(one, "nees"))  # type: ignore[misc]
+        for one in data.panels[0].series
+    }
+    figure = Figure()
+    assert draw(figure, shown, "a world")
+    assert figure.get_suptitle() == f"a world: {TRIALS} independent drives"
+    reliability, _, _, outside = figure.axes
+    lines = {line.get_label(): np.asarray(line.get_ydata()) for line in reliability.get_lines()}
+    claimed = np.linspace(0.0, 1.0, 101)
+    assert np.abs(lines["fastslam"] - claimed).max() < 0.04
+    # q is claimed to be chi-square, and is 1 / 0.36 times that.
+    assert lines["ekf-slam"] == pytest.approx(1.0 - (1.0 - claimed) ** 0.36, abs=0.04)
+    assert outside.get_ylim()[0] < 0.01
+    empty = Figure()
+    assert not draw(empty, {}) and not empty.axes
 
 
 def test_command_prints_it_and_says_where_nothing_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

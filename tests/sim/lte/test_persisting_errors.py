@@ -66,6 +66,24 @@ def test_each_cause_has_its_size_and_can_be_switched(cause: str) -> None:
     np.testing.assert_allclose(white_floors(white), floors(white))
 
 
+def test_an_error_is_the_sum_of_its_waves() -> None:
+    fields, rng = draw_fields(RadioConfig(), 0.075, np.random.default_rng(3)), np.random.default_rng(4)
+    for _ in range(5):
+        (azimuth, elevation), place, port = rng.uniform(-1.0, 1.0, 2), rng.uniform(-900.0, 900.0, 3), rng.integers(4)
+        unit = unit_vector(azimuth, elevation)
+        expected = np.zeros(3)
+        for f, component in enumerate([0, 1, 2, 1, 2]):
+            waves = np.cos(fields.direction_wave[f] @ unit + fields.direction_phase[f])
+            expected[component] += fields.direction_std[f] * np.sqrt(2.0 / len(waves)) * waves.sum()
+        for f in range(3):
+            phase = fields.place_phase[f] + fields.port_phase[f, :, port]
+            waves = np.cos(fields.place_wave[f] @ np.concatenate([place, VT]) + phase)
+            expected[f] += fields.place_std[f] * np.sqrt(2.0 / len(waves)) * waves.sum()
+        still = fields._replace(time_std=np.zeros(3))
+        found = error(still, (150.0, azimuth, elevation), place, port)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
 HERE, PLACE = (150.0, 0.7, 0.2), np.array([3.0, 4.0, 1.8])
 
 

@@ -48,21 +48,25 @@ def add_paths(
     demands: Demands, model: SteeringModel, found: Array,
 ) -> tuple[int, Trials]:  # fmt: skip
     """Write up to len(`found`) (n, 3) more paths that one-path fits confirm, the strongest first, and take them out of
-    the samples `residual` (ports, tones) and of the spectrum, out of which others are `taken`; return how many, and all
+    the samples `residual` (ports, D) and of the spectrum, out of which others are `taken`; return how many, and all
     cells that have been tried by then.
     """
     (cells, tried, failures), added, start = trials, 0, np.empty((1, 3))
+    coarse, at = thresholds.COARSE_SHARE * demands.threshold, 0
     search_kernel.write_all_energies(outputs, taken, spectrum)
+    promising, levels = search_kernel.standing_out(spectrum, coarse)
     while added < len(found) and failures < thresholds.MOST_FAILURES:
-        k, d, level = search_kernel.strongest(spectrum, thresholds.COARSE_SHARE * demands.threshold, cells[:tried])
-        if k < 0:
+        while at < len(promising) and search_kernel.is_beside(promising[at], cells[:tried], spectrum):
+            at += 1
+        if at == len(promising):
             break
+        (k, d), level = promising[at], levels[at]
         cells[tried, 0], cells[tried, 1] = k, d
         tried, failures = tried + 1, failures + 1
-        start[0, 0], start[0, 1], start[0, 2] = probe.distances[d], probe.azimuths[k], probe.elevations[k]
+        start[0, 0], start[0, 1], start[0, 2] = probe.grid.distances[d], probe.azimuths[k], probe.elevations[k]
         asked = demands.threshold * level
         geometry, normal = fit_kernel.climb(
-            residual, start, thresholds.COARSE_GAIN * level, thresholds.PROMISING_SHARE * asked, demands.coarser, model
+            residual, probe.grid, start, thresholds.COARSE_GAIN * level, thresholds.PROMISING_SHARE * asked, model
         )
         near = abs(geometry[0, 0] - start[0, 0]) <= thresholds.FARTHEST_M * demands.coarser
         if not near or abs(geometry[0, 2] - start[0, 2]) > thresholds.FARTHEST_RAD or normal.explained < asked:
@@ -72,6 +76,7 @@ def add_paths(
             found[added], taken = geometry[0], search_kernel.both(taken, one)
             added, failures = added + 1, failures - 1
             search_kernel.write_all_energies(outputs, taken, spectrum)
+            (promising, levels), at = search_kernel.standing_out(spectrum, coarse), 0
     return added, Trials(cells, tried, failures)
 
 
@@ -81,7 +86,7 @@ def _taken_out(
     taken: Footprint, spectrum: PowerSpectrum, probe: Probe, demands: Demands,
 ) -> bool:  # fmt: skip
     """Take `one` path at `geometry` (1, 3), found in direction k and bin d, out of the samples `residual` (ports,
-    tones) and the spectrum's noise, unless it does not stand out of what it leaves there; return whether.
+    D) and the spectrum's noise, unless it does not stand out of what it leaves there; return whether.
     """
     diffuse = normal.explained < spectrum.trailing[k // spectrum.elevations, d]
     at, bin_at = search_kernel.cell_of(geometry[0], probe, spectrum)
@@ -96,7 +101,7 @@ def _taken_out(
         return False
     search_kernel.note_trail(geometry, normal.wald, probe, spectrum)
     samples = residual.view(residual.real.dtype)
-    straight, turned = fit_kernel.in_pairs(one.on_tones, samples)
+    straight, turned = fit_kernel.in_pairs(one.on_delays, samples)
     for m in range(len(samples)):
         fit_kernel.subtract_products(samples[m], one.on_ports[:, m], straight, turned, samples[m])
     return True

@@ -14,8 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.array import Complex
-from cellslam.sim.lte.signal.receiver import ComplexSingle
+from cellslam.sim.lte.array import Complex, ComplexSingle
 from cellslam.sim.recording import Ints
 from cellslam.sim.waveform.waveform import PortName, Waveform
 
@@ -26,23 +25,33 @@ _RIDGE = 1e-3
 
 
 def cancel(
-    y: Complex, waveform: Waveform, own: PortName, other: PortName, comb: int, slots: Ints, apart_m: float = 0.0
-) -> Complex:
+    y: ComplexSingle, waveform: Waveform, own: PortName, other: PortName, comb: int, slots: Ints, apart_m: float = 0.0
+) -> ComplexSingle:
     """Return `y` (ports, tones), descrambled samples of port `own`, without what `other` on the same comb adds.
 
     `slots` (ports,): slot of the frame in which each array port is sampled; `apart_m`: by how many m later the
     other cell's window begins.
     """
-    single, out = y.astype(np.complex64), y.astype(np.complex128)
-    slot = np.asarray(slots, np.int64) % waveform.slots
-    for s in np.unique(slot):
-        rows = slot == s
-        fit, back = _operator(waveform, own, other, comb, int(s), apart_m)
-        out[rows] -= (single[rows] @ fit) @ back
-    return out
+    met, of, count = np.unique(np.asarray(slots, np.int64) % waveform.slots, return_inverse=True, return_counts=True)
+    # Ports by slot, as many places for each: one product for all slots.
+    order, within = np.argsort(of, kind="stable"), np.empty(len(of), np.int64)
+    within[order] = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
+    by_slot = np.zeros((len(met), count.max(), y.shape[1]), np.complex64)
+    by_slot[of, within] = y
+    fit, back = _operators(waveform, own, other, comb, tuple(met.tolist()), apart_m)
+    return y - (by_slot @ fit @ back)[of, within]
 
 
-@lru_cache(maxsize=512)
+@lru_cache(maxsize=64)
+def _operators(
+    waveform: Waveform, own: PortName, other: PortName, comb: int, slots: tuple[int, ...], apart_m: float
+) -> tuple[ComplexSingle, ComplexSingle]:
+    """Return the operators of several slots, (slots, tones, r) and (slots, r, tones)."""
+    each = (_operator(waveform, own, other, comb, slot, apart_m) for slot in slots)
+    fit, back = (np.stack(parts) for parts in zip(*each, strict=True))
+    return fit, back
+
+
 def _operator(
     waveform: Waveform, own: PortName, other: PortName, comb: int, slot: int, apart_m: float
 ) -> tuple[ComplexSingle, ComplexSingle]:

@@ -1,8 +1,14 @@
 """Compiled maximum-likelihood fit of paths: normal equations with the weights eliminated, Levenberg-Marquardt.
 
 `path_estimator` has the equations. Every column of A and D is an array vector times a tone vector (Kronecker), so that
-their Gram matrices are products, element by element, of two small ones. Complex samples are read as real and imaginary
-parts in turn: products are then sums of real products, without any reordering.
+their Gram matrices are products, element by element, of two small ones.
+
+Samples are correlated with the tones of every searched distance once. With those of a distance d between them, they are
+
+    r(d) = sum_j c_j(d) r(d_j) over the STENCIL distances d_j nearest to d
+
+for the tones of d are the sum of those of the d_j in shares c_j(d), up to 2e-6 of their size: distances are searched in
+steps of less than half the resolution. Shares are polynomials in the way between two searched distances.
 
 Source: RIMAX, Richter, "Estimation of radio channel parameters: models and algorithms", 2005; weights eliminated by
 variable projection, Golub and Pereyra 1973, in the form of Kaufman 1975.
@@ -21,6 +27,9 @@ from cellslam.sim.lte.signal.path_estimator import thresholds
 from cellslam.sim.lte.statistical.detector_layout import Array
 from cellslam.sim.lte.steering_kernel import ANY_ORDER, SteeringModel, steer, write_phasors
 
+STENCIL, DEGREE = 12, 7
+MARGIN = STENCIL // 2  # searched distances beyond the window on either side
+
 
 class Normal(NamedTuple):
     """A fit at given geometry: `explained` energy, weights (n, 2), `wald` (n,) energy that each path alone explains,
@@ -32,6 +41,17 @@ class Normal(NamedTuple):
     wald: Array
     information: Array
     gradient: Array
+
+
+class DelayGrid(NamedTuple):
+    """Distances (D,) in m, in even steps, with whose tones the samples of each port are correlated. `shares` (DEGREE +
+    1, STENCIL): for the correlation between the two in the middle of a stencil, by powers of the way, -1 to 1.
+    `coarser`: resolution in distance over that of 100 resource blocks of LTE.
+    """
+
+    distances: Array
+    shares: Array
+    coarser: float
 
 
 @part
@@ -49,21 +69,39 @@ def in_pairs(columns: Array, like: Array) -> tuple[Array, Array]:
     return straight, turned
 
 
+@part
+def _write_shares(distance: float, grid: DelayGrid, value: Array, slope: Array) -> int:
+    """Write the shares (STENCIL,) of a distance in m, and their derivatives by it; return where the stencil begins."""
+    pitch = grid.distances[1] - grid.distances[0]
+    at = (distance - grid.distances[0]) / pitch
+    at = min(max(at, MARGIN - 1.0), len(grid.distances) - MARGIN - 1e-9)
+    low = int(at)
+    u = 2.0 * (at - low) - 1.0
+    value[:], slope[:] = 0.0, 0.0
+    for k in range(len(grid.shares) - 1, -1, -1):
+        for j in range(STENCIL):
+            slope[j] = slope[j] * u + value[j]
+            value[j] = value[j] * u + grid.shares[k, j]
+    for j in range(STENCIL):
+        slope[j] *= 2.0 / pitch
+    return low - MARGIN + 1
+
+
 @part(fastmath=ANY_ORDER)
-def _correlate(y: Array, tones: Array, out: Array) -> None:
-    """Write (2, ports): `y` (ports, tones) correlated with the `tones` (2, tones) of a path and with their derivative
-    by distance, as `_write_tones` gives them; in the precision of `y`.
+def correlate(samples: Array, distance: float, grid: DelayGrid, out: Array) -> None:
+    """Write (2, ports): samples (ports, D), correlated with the tones of the grid, correlated with those of a distance
+    in m, and the derivative by it.
     """
-    pairs = y.view(y.real.dtype)
-    straight, turned = in_pairs(tones, pairs)
-    zero = pairs.dtype.type(0.0)
-    for m in range(len(pairs)):
-        real, imaginary, slope_real, slope_imaginary = zero, zero, zero, zero
-        for i in range(pairs.shape[1]):
-            real += pairs[m, i] * straight[0, i]
-            imaginary += pairs[m, i] * turned[0, i]
-            slope_real += pairs[m, i] * straight[1, i]
-            slope_imaginary += pairs[m, i] * turned[1, i]
+    value, slope = np.empty(STENCIL), np.empty(STENCIL)
+    first = _write_shares(distance, grid, value, slope)
+    for m in range(len(samples)):
+        real, imaginary, slope_real, slope_imaginary = 0.0, 0.0, 0.0, 0.0
+        for j in range(STENCIL):
+            sample = samples[m, first + j]
+            real += value[j] * sample.real
+            imaginary += value[j] * sample.imag
+            slope_real += slope[j] * sample.real
+            slope_imaginary += slope[j] * sample.imag
         out[0, m], out[1, m] = complex(real, imaginary), complex(slope_real, slope_imaginary)
 
 
@@ -130,16 +168,18 @@ def _cholesky_inverse(gram: Array) -> Array:
 
 
 @part
-def _normal_equations(y: Array, geometry: Array, value: Array, by_az: Array, by_el: Array, rate: Array) -> Normal:
-    """Return the fit of n paths at `geometry` (n, 3) to `y` (ports, tones) with steering (n, ports, 2) and the phase
+def _normal_equations(
+    samples: Array, grid: DelayGrid, geometry: Array, value: Array, by_az: Array, by_el: Array, rate: Array
+) -> Normal:
+    """Return the fit of n paths at `geometry` (n, 3) to `samples` (ports, D) with steering (n, ports, 2) and the phase
     `rate` (tones,) of the tones in rad per m.
     """
-    n, ports, tones = len(geometry), len(y), len(rate)
+    n, ports, tones = len(geometry), len(samples), len(rate)
     delay, correlated = np.empty((2 * n, tones), np.complex128), np.empty((2 * n, ports), np.complex128)
     steering = np.empty((2 * n, ports), np.complex128)
     for p in range(n):
         _write_tones(geometry[p, 0], rate, delay[2 * p : 2 * p + 2])
-        _correlate(y, delay[2 * p : 2 * p + 2], correlated[2 * p : 2 * p + 2])
+        correlate(samples, geometry[p, 0], grid, correlated[2 * p : 2 * p + 2])
         for m in range(ports):
             steering[2 * p, m], steering[2 * p + 1, m] = value[p, m, 0], value[p, m, 1]
     on_tones, G = delay.conj() @ delay.T, steering.conj() @ steering.T
@@ -203,14 +243,13 @@ def _wald(inverse: Array, w: Array) -> Array:
 
 @part
 def _normal_equations_of_one(
-    y: Array, distance: float, value: Array, by_az: Array, by_el: Array, rate: Array
+    samples: Array, grid: DelayGrid, distance: float, value: Array, by_az: Array, by_el: Array, rate: Array
 ) -> Normal:
     """Return the same of one path, without matrix products: what the search evaluates most takes 3/4 of the time."""
-    ports = len(y)
+    ports = len(samples)
     correlated, steering = np.empty((2, ports), np.complex128), np.empty((2, ports), np.complex128)
-    D, tones = np.empty((3, ports), np.complex128), np.empty((2, len(rate)), np.complex128)
-    _write_tones(distance, rate, tones)
-    _correlate(y, tones, correlated)
+    D = np.empty((3, ports), np.complex128)
+    correlate(samples, distance, grid, correlated)
     on_tones = np.empty((2, 2), np.complex128)
     on_tones[0, 0], on_tones[1, 1] = len(rate), (rate * rate).sum()
     on_tones[0, 1] = complex(0.0, -rate.sum())
@@ -245,26 +284,25 @@ def _normal_equations_of_one(
 
 
 @part
-def evaluate(y: Array, geometry: Array, m: SteeringModel) -> Normal:
-    """Return the normal equations of a fit at `geometry` (n, 3), m, rad, rad, to `y` (ports, tones)."""
+def evaluate(samples: Array, grid: DelayGrid, geometry: Array, m: SteeringModel) -> Normal:
+    """Return the normal equations of a fit at `geometry` (n, 3), m, rad, rad, to `samples` (ports, D)."""
     value, by_az, by_el = steer(geometry[:, 1].copy(), geometry[:, 2].copy(), m)
     if len(geometry) == 1:
-        return _normal_equations_of_one(y, geometry[0, 0], value[0], by_az[0], by_el[0], m.rate)
-    return _normal_equations(y, geometry, value, by_az, by_el, m.rate)
+        return _normal_equations_of_one(samples, grid, geometry[0, 0], value[0], by_az[0], by_el[0], m.rate)
+    return _normal_equations(samples, grid, geometry, value, by_az, by_el, m.rate)
 
 
 @njit(cache=True, nogil=True)
 def climb(
-    y: Array, start: Array, least_gain: float, promising: float, coarser: float, m: SteeringModel
+    samples: Array, grid: DelayGrid, start: Array, least_gain: float, promising: float, m: SteeringModel
 ) -> tuple[Array, Normal]:
-    """Return geometry (n, 3) in m, rad, rad and normal equations of the joint fit to `y` (ports, tones) that starts at
-    `start` (n, 3); done when a step gains less than `least_gain`, an energy as in `y`.
+    """Return geometry (n, 3) in m, rad, rad and normal equations of the joint fit to `samples` (ports, D) that starts
+    at `start` (n, 3); done when a step gains less than `least_gain`, an energy as in the samples.
 
-    It ends at once where neither the start nor what the first step promises reaches the energy `promising`. `coarser`:
-    resolution in distance over that of 100 resource blocks of LTE.
+    It ends at once where neither the start nor what the first step promises reaches the energy `promising`.
     """
     geometry, damping = start.copy(), thresholds.LEAST_DAMPING
-    normal = evaluate(y, geometry, m)
+    normal = evaluate(samples, grid, geometry, m)
     for iteration in range(thresholds.MOST_STEPS):
         matrix = normal.information.copy()
         for i in range(len(matrix)):
@@ -278,11 +316,11 @@ def climb(
         moved = geometry.copy()
         for p in range(len(moved)):
             for c in range(3):
-                longest = thresholds.LONGEST_STEP_M * coarser if c == 0 else thresholds.LONGEST_STEP_RAD
+                longest = thresholds.LONGEST_STEP_M * grid.coarser if c == 0 else thresholds.LONGEST_STEP_RAD
                 moved[p, c] += min(max(step[3 * p + c], -longest), longest)
             moved[p, 1] = wrap(moved[p, 1])
             moved[p, 2] = min(max(moved[p, 2], -thresholds.STEEPEST_RAD), thresholds.STEEPEST_RAD)
-        trial = evaluate(y, moved, m)
+        trial = evaluate(samples, grid, moved, m)
         if trial.explained > normal.explained:
             geometry, normal, damping = moved, trial, 0.1 * damping
         else:

@@ -12,19 +12,19 @@ import numpy as np
 
 from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.lte.signal.path_estimator import thresholds
-from cellslam.sim.lte.signal.path_estimator.fit_kernel import in_pairs, subtract_products
+from cellslam.sim.lte.signal.path_estimator.fit_kernel import MARGIN, DelayGrid, in_pairs, subtract_products
 from cellslam.sim.lte.statistical.detector_layout import DIFFUSE_SHARE, Array
 
 
 class Probe(NamedTuple):
-    """What samples are looked at with: two `beams` (2, K, P) a direction, of the ports that `ports_of` says, and unit
-    vectors `delays` (tones, D), of K directions and D distances in m: `azimuths`, `elevations` (K,) in rad, azimuth by
-    azimuth, `distances` (D,).
+    """What samples are looked at with: two `beams` (2, K, P) a direction, of the ports that `by_set` says, and unit
+    vectors `delays` (tones, D), of K directions, `azimuths`, `elevations` (K,) in rad, azimuth by azimuth, and the D
+    distances of the `grid`.
     """
 
     beams: Array
     delays: Array
-    distances: Array
+    grid: DelayGrid
     azimuths: Array
     elevations: Array
 
@@ -39,10 +39,9 @@ class Outputs(NamedTuple):
 
 
 class Footprint(NamedTuple):
-    """What n paths give the ports (n, ports), tones (n, tones), beams (2, n, K) and searched distances (n, D)."""
+    """What n paths give the ports (n, ports), beams (2, n, K) and searched distances (n, D)."""
 
     on_ports: Array
-    on_tones: Array
     on_beams: Array
     on_delays: Array
 
@@ -50,13 +49,12 @@ class Footprint(NamedTuple):
 class PowerSpectrum(NamedTuple):
     """Energies, as in the samples, over K directions (`elevations` to an azimuth) and D delays.
 
-    `energy` (K, D) of both beams of each direction, the greatest of each delay `peak` (D,); `port_energy` (D,) of all
-    `ports` that work; `noise` (D,) per sample, taken for constant over `stretch` (odd) delays; `trailing` (azimuths,
-    D): energy of the paths in whose diffuse energy a cell lies.
+    `energy` (K, D) of both beams of each direction; `port_energy` (D,) of all `ports` that work; `noise` (D,) per
+    sample, taken for constant over `stretch` (odd) delays; `trailing` (azimuths, D): energy of the paths in whose
+    diffuse energy a cell lies.
     """
 
     energy: Array
-    peak: Array
     port_energy: Array
     noise: Array
     trailing: Array
@@ -75,15 +73,15 @@ def footprint_of(on_ports: Array, on_tones: Array, probe: Probe) -> Footprint:
         for s in range(2):
             on_beams[s] = on_ports[:, s % apart :: apart].astype(np.complex64) @ probe.beams[s].T
         on_delays[:] = on_tones.astype(np.complex64) @ probe.delays
-    return Footprint(on_ports, on_tones, on_beams, on_delays)
+    return Footprint(on_ports, on_beams, on_delays)
 
 
 @part
 def both(one: Footprint, other: Footprint) -> Footprint:
     """Return the footprint of the paths of both."""
     return Footprint(
-        np.concatenate((one.on_ports, other.on_ports)), np.concatenate((one.on_tones, other.on_tones)),
-        np.concatenate((one.on_beams, other.on_beams), 1), np.concatenate((one.on_delays, other.on_delays)),
+        np.concatenate((one.on_ports, other.on_ports)), np.concatenate((one.on_beams, other.on_beams), 1),
+        np.concatenate((one.on_delays, other.on_delays)),
     )  # fmt: skip
 
 
@@ -106,19 +104,14 @@ def write_energies(outputs: Outputs, taken: Footprint, directions: Array, spectr
 
 @njit(cache=True, nogil=True)
 def write_all_energies(outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum) -> None:
-    """Write the energies in all directions, and the greatest of each delay."""
+    """Write the energies in all directions."""
     write_energies(outputs, taken, np.arange(len(spectrum.energy)), spectrum)
-    peak = spectrum.peak
-    peak[:] = 0.0
-    for row in spectrum.energy:
-        for d in range(len(peak)):
-            peak[d] = row[d] if row[d] > peak[d] else peak[d]
 
 
 @njit(cache=True, nogil=True)
-def write_noise(outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum) -> None:
+def write_noise(outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum) -> float:
     """Write the energy of all ports beside the paths that are taken out, and the noise per sample over delay: the
-    running median of the ports' mean energy.
+    running median of the ports' mean energy. Return the median of that.
 
     Cancelling another cell colours the noise over delay; paths fill few cells of a stretch. What differs by no more
     than scatter is set to the median.
@@ -139,6 +132,7 @@ def write_noise(outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum) -> 
     for d in range(bins):
         if abs(noise[d] - usual) < thresholds.ALIKE * usual:
             noise[d] = usual
+    return usual
 
 
 @part
@@ -187,7 +181,7 @@ def cell_of(geometry: Array, probe: Probe, spectrum: PowerSpectrum) -> tuple[int
     steps, low, high = spectrum.elevations - 1, probe.elevations[0], probe.elevations[spectrum.elevations - 1]
     rise = min(max(round((geometry[2] - low) / (high - low) * steps), 0), steps)
     column = _column(geometry[1], spectrum.trailing) % len(spectrum.trailing)
-    return column * spectrum.elevations + rise, min(max(_bin(geometry[0], probe), 0), len(probe.distances) - 1)
+    return column * spectrum.elevations + rise, min(max(_bin(geometry[0], probe), 0), len(probe.grid.distances) - 1)
 
 
 @part
@@ -198,7 +192,8 @@ def _column(azimuth: float, trailing: Array) -> int:
 
 @part
 def _bin(distance: float, probe: Probe) -> int:
-    nearest: int = round((distance - probe.distances[0]) / (probe.distances[1] - probe.distances[0]))
+    distances = probe.grid.distances
+    nearest: int = round((distance - distances[0]) / (distances[1] - distances[0]))
     return nearest
 
 
@@ -266,36 +261,35 @@ def level_around(d: int, peak: float, spectrum: PowerSpectrum) -> float:
 
 
 @part
-def strongest(spectrum: PowerSpectrum, coarse: float, blocked: Array) -> tuple[int, int, float]:
-    """Return (direction, bin, level) of the strongest cell whose energy is `coarse` times the level that it must stand
-    out of, an energy per sample and delay; direction -1: none.
+def standing_out(spectrum: PowerSpectrum, coarse: float) -> tuple[Array, Array]:
+    """Return the cells (n, 2), direction and bin, within the window whose energy is `coarse` times the level that each
+    must stand out of, the strongest first, and these levels (n,), energies per sample and delay.
 
-    `blocked` (B, 2): cells (direction, bin) around which nothing is looked for. A cell weaker than `trailing` must
-    stand out farther.
+    A cell weaker than `trailing` must stand out farther.
     """
-    energy, elevations, peak = spectrum.energy, spectrum.elevations, spectrum.peak
-    best, at, bin_at, level_at = np.float32(0.0), -1, -1, 0.0
-    (count, bins), highest = energy.shape, np.argmax(peak)
-    azimuths = count // elevations
-    for turned in range(bins):
-        d = (highest + turned) % bins
-        least = np.float32(coarse * spectrum.noise[d])
-        if peak[d] <= best or peak[d] < least:
-            continue
-        for k in range(count):
-            if energy[k, d] <= best or energy[k, d] < least:
+    (count, bins), n = spectrum.energy.shape, 0
+    cells, level, energy = np.empty((count * bins, 2), np.int64), np.empty(count * bins), np.empty(count * bins)
+    least = (coarse * spectrum.noise).astype(np.float32)
+    for k in range(count):
+        for d in range(MARGIN, bins - MARGIN):
+            own = spectrum.energy[k, d]
+            if own < least[d] or own < coarse * level_around(d, own, spectrum):
                 continue
-            if energy[k, d] < coarse * level_around(d, energy[k, d], spectrum):
-                continue
-            free = True
-            for b in range(len(blocked)):
-                turn = abs(k // elevations - blocked[b, 0] // elevations)
-                near = min(turn, azimuths - turn) <= 1 and abs(k % elevations - blocked[b, 0] % elevations) <= 1
-                free = free and not (near and abs(d - blocked[b, 1]) <= 1)
-            if not free:
-                continue
-            diffuse = energy[k, d] < spectrum.trailing[k // elevations, d]
-            _, level = local_level(k, d, energy[k, d], spectrum, diffuse)
-            if energy[k, d] >= coarse * level:
-                best, at, bin_at, level_at = energy[k, d], k, d, level
-    return at, bin_at, level_at
+            _, asked = local_level(k, d, own, spectrum, own < spectrum.trailing[k // spectrum.elevations, d])
+            if own >= coarse * asked:
+                cells[n, 0], cells[n, 1], level[n], energy[n] = k, d, asked, own
+                n += 1
+    order = np.argsort(-energy[:n])
+    return cells[order], level[order]
+
+
+@part
+def is_beside(cell: Array, others: Array, spectrum: PowerSpectrum) -> bool:
+    """Return whether a cell (2,) is one of `others` (n, 2), or next to it."""
+    elevations, beside = spectrum.elevations, False
+    for other in others:
+        turn = abs(cell[0] // elevations - other[0] // elevations)
+        near = min(turn, len(spectrum.energy) // elevations - turn) <= 1
+        rise = abs(cell[0] % elevations - other[0] % elevations)
+        beside = beside or (near and rise <= 1 and abs(cell[1] - other[1]) <= 1)
+    return beside

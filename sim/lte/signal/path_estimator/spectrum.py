@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellslam.sim.lte.array import Complex
+from cellslam.sim.lte.array import ComplexSingle
 from cellslam.sim.lte.signal.path_estimator import search_kernel
 from cellslam.sim.lte.signal.path_estimator.fit_kernel import Normal, factors
 from cellslam.sim.lte.signal.path_estimator.search_kernel import Footprint, Outputs, PowerSpectrum
@@ -16,24 +16,23 @@ from cellslam.sim.recording import Floats
 
 
 class Spectrum:
-    """Outputs, energies and noise of the samples (ports, tones), fitted paths `taken` out.
+    """Outputs, energies and noise of `samples` (ports, D), at the searched distances, fitted paths `taken` out.
 
-    The samples are transformed once; paths are taken out of the transform, for they are of rank one there.
+    They are transformed once; paths are taken out of the transform, for they are of rank one there.
     """
 
-    def __init__(self, y: Complex, motion: Motion) -> None:
-        self.motion, self.receiver = motion, motion.receiver
-        on_ports = y.astype(np.complex64) @ self.receiver.delay_matrix
-        beams = motion.beams @ self.receiver.by_set(on_ports)
-        self.outputs = Outputs(beams.view(np.float32), on_ports.view(np.float32))
+    def __init__(self, samples: ComplexSingle, motion: Motion) -> None:
+        self.samples, self.motion, self.receiver = samples, motion, motion.receiver
+        beams = motion.beams @ self.receiver.by_set(samples)
+        self.outputs = Outputs(beams.view(np.float32), samples.view(np.float32))
         count, bins = beams.shape[1:]
         self.power = PowerSpectrum(
-            energy=np.empty((count, bins), np.float32), peak=np.empty(bins, np.float32), port_energy=np.empty(bins),
+            energy=np.empty((count, bins), np.float32), port_energy=np.empty(bins),
             noise=np.empty(bins), trailing=np.empty((AZIMUTHS, bins), np.float32), stretch=self.receiver.stretch_bins,
             ports=int(np.count_nonzero(motion.factor)), elevations=ELEVATIONS,
         )  # fmt: skip
-        nothing = np.empty((0, self.receiver.array.ports), np.complex128), np.empty((0, y.shape[1]), np.complex128)
-        self._nothing = search_kernel.footprint_of(*nothing, motion.probe)
+        no_ports, no_tones = (np.empty((0, n), np.complex128) for n in (len(samples), len(self.receiver.rate)))
+        self._nothing = search_kernel.footprint_of(no_ports, no_tones, motion.probe)
         self.leave_all()
 
     def leave_all(self) -> None:
@@ -49,8 +48,7 @@ class Spectrum:
 
     def _take(self, taken: Footprint) -> None:
         self.taken = taken
-        search_kernel.write_noise(self.outputs, taken, self.power)
-        self.noise = float(np.median(self.power.noise))
+        self.noise = search_kernel.write_noise(self.outputs, taken, self.power)
 
     def evaluate(self) -> None:
         """Write all energies beside the paths that are taken out."""
@@ -62,6 +60,6 @@ class Spectrum:
         return self.outputs, self.taken, self.power
 
     @property
-    def explained(self) -> Complex:
-        """The samples (ports, tones) that the paths taken out explain."""
-        return np.asarray(self.taken.on_ports.T @ self.taken.on_tones, np.complex128)
+    def residual(self) -> ComplexSingle:
+        """The samples (ports, D) without what the paths taken out explain."""
+        return np.asarray(self.samples - self.taken.on_ports.T.astype(np.complex64) @ self.taken.on_delays)

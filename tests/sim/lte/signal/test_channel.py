@@ -79,7 +79,7 @@ def test_sums_over_paths_are_their_formula(paths: int, tones_hz: NDArray[np.floa
     np.testing.assert_allclose(sums.of(weights), exact, atol=1e-4 * np.abs(exact).std())
     every = np.zeros_like(weights)
     every[:, ::5] = weights[:, ::5]
-    np.testing.assert_allclose(sums.of_every(5, weights), sums.of(every), atol=1e-4 * np.abs(exact).std())
+    np.testing.assert_allclose(sums.of_every(5, weights[:, ::5]), sums.of(every), atol=1e-4 * np.abs(exact).std())
 
 
 def test_what_is_added_to_the_elements_is_its_formula() -> None:

@@ -23,8 +23,11 @@ from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, est
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import Receiver, receiver_of
 from cellslam.sim.nr.nr_waveform import NrWaveform
+from cellslam.sim.waveform.waveform import Waveform
 
-evaluate = njit(fit_kernel.evaluate)
+evaluate, correlate = njit(fit_kernel.evaluate), njit(fit_kernel.correlate)
+standing_out, local_level = njit(search_kernel.standing_out), njit(search_kernel.local_level)
+level_around = njit(search_kernel.level_around)
 ARRAY, TONES = CircularArray(), LteWaveform(100).tones_hz
 TIMES, CARRIER_HZ = switching_times_s(ARRAY), 2.66e9
 RECEIVER, STILL = Receiver(), np.zeros(3)
@@ -77,7 +80,7 @@ def test_normal_equations_are_those_of_the_full_jacobian(count: int) -> None:
     paths = draw(rng, np.array([0.0, -5.0, -3.0])[:count], 40.0)
     y = channel(paths) + noise(rng)
     geometry = np.stack([paths.distance_m + 1.0, paths.azimuth_rad + 0.05, paths.elevation_rad - 0.03], 1)
-    got = evaluate(y, geometry, AT_REST.model)
+    got = evaluate(RECEIVER.at_distances(y), RECEIVER.grid, geometry, AT_REST.model)
     steering = ARRAY.steer(geometry[:, 1], geometry[:, 2])
     delay = np.exp(-1j * np.outer(geometry[:, 0], RECEIVER.rate))
     basis = np.einsum("npq,nf->pfnq", steering.value, delay).reshape(128 * 200, 2 * count)
@@ -98,10 +101,41 @@ def test_normal_equations_are_those_of_the_full_jacobian(count: int) -> None:
         np.testing.assert_allclose(got.wald[p], lost, rtol=1e-5)
 
 
+@pytest.mark.parametrize("waveform", [LteWaveform(100), LteWaveform(6), NrWaveform(40, 1, 4, 4)])
+def test_correlations_between_searched_distances_are_those_of_the_tones(waveform: Waveform) -> None:
+    receiver, rng = receiver_of(waveform), np.random.default_rng(2)
+    y, found = noise(rng, len(receiver.rate)), np.empty((2, 128), complex)
+    samples = np.asarray(y.astype(np.complex64) @ receiver.delay_matrix)
+    for distance in (-50.0, -17.3, 0.0, 123.4, 1234.5, 1700.0):
+        correlate(samples, distance, receiver.grid, found)
+        tones = np.exp(1j * receiver.rate * distance)
+        slope = np.std(receiver.rate)
+        np.testing.assert_allclose(found[0], y @ tones, atol=1e-4 * np.sqrt(len(tones)))
+        np.testing.assert_allclose(found[1], y @ (1j * receiver.rate * tones), atol=1e-4 * slope * np.sqrt(len(tones)))
+
+
+def test_cells_that_stand_out_are_all_of_them_the_strongest_first() -> None:
+    rng = np.random.default_rng(3)
+    y = channel(draw(rng, np.array([0.0, -10.0, -15.0]))) + noise(rng)
+    spectrum = Spectrum(RECEIVER.at_distances(y), AT_REST)
+    spectrum.evaluate()
+    cells, _ = standing_out(spectrum.power, 10.0)
+    energy = spectrum.power.energy
+    expected = []
+    for k, d in zip(*np.nonzero(energy >= 10.0 * spectrum.power.noise), strict=True):
+        inside = fit_kernel.MARGIN <= d < energy.shape[1] - fit_kernel.MARGIN
+        around = level_around(d, energy[k, d], spectrum.power)
+        _, asked = local_level(k, d, energy[k, d], spectrum.power, energy[k, d] < spectrum.power.trailing[k // 7, d])
+        if inside and energy[k, d] >= 10.0 * max(around, asked):
+            expected.append((-energy[k, d], k, d))
+    assert len(expected) > 10
+    assert [tuple(cell) for cell in cells.tolist()] == [cell[1:] for cell in sorted(expected)]
+
+
 def test_search_kernels_are_their_numpy_twins() -> None:
     rng = np.random.default_rng(4)
     motion = RECEIVER.moving(np.array([1.0, 0.0, 0.0])).weighed(rng.uniform(0.5, 1.5, 128))
-    spectrum = Spectrum(noise(rng), motion)
+    spectrum = Spectrum(RECEIVER.at_distances(noise(rng)), motion)
     spectrum.evaluate()
     steering = (
         ARRAY.steer(*RECEIVER.directions).value
@@ -111,7 +145,6 @@ def test_search_kernels_are_their_numpy_twins() -> None:
     y = spectrum.outputs.on_ports.view(np.complex64)
     energy = np.sum(np.abs(np.einsum("kpq,pd->kqd", both.conj(), y)) ** 2, axis=1)
     np.testing.assert_allclose(spectrum.power.energy, energy, rtol=1e-4, atol=1e-4)
-    np.testing.assert_array_equal(spectrum.power.peak, spectrum.power.energy.max(axis=0))
     out = np.empty(spectrum.power.port_energy.shape)
     search_kernel.running_median(spectrum.power.port_energy, 31, out)
     np.testing.assert_allclose(out, median_filter(spectrum.power.port_energy, 31, mode="nearest"))
@@ -122,9 +155,12 @@ def test_taking_a_path_out_of_the_spectrum_is_transforming_the_residual() -> Non
     paths = draw(rng, np.array([10.0, -5.0]))
     y = channel(paths) + noise(rng)
     geometry = np.stack([paths.distance_m, paths.azimuth_rad, paths.elevation_rad], 1)
-    spectrum = Spectrum(y, AT_REST)
-    spectrum.leave(geometry, evaluate(y, geometry, AT_REST.model))
-    residual = Spectrum(y - spectrum.explained, AT_REST)
+    spectrum = Spectrum(RECEIVER.at_distances(y), AT_REST)
+    normal = evaluate(spectrum.samples, RECEIVER.grid, geometry, AT_REST.model)
+    spectrum.leave(geometry, normal)
+    on_ports, on_tones = fit_kernel.factors(geometry, normal.weights, AT_REST.model)
+    residual = Spectrum(RECEIVER.at_distances(y - on_ports.T @ on_tones), AT_REST)
+    np.testing.assert_allclose(spectrum.residual, residual.samples, atol=1e-4)
     for one in (spectrum, residual):
         one.evaluate()
     np.testing.assert_allclose(spectrum.power.energy, residual.power.energy, rtol=1e-2, atol=1e-2)
@@ -142,12 +178,12 @@ def test_a_strong_path_is_not_split() -> None:
 def test_calibration_error_makes_few_ghosts() -> None:
     rng = np.random.default_rng(8)
     ghosts = 0
-    for _ in range(20):
+    for _ in range(60):
         paths = draw(rng, np.array([20.0]))
         ghosts += (
             len(estimate_paths(channel(paths, array=miscalibrated(ARRAY, 5.0, 0.5, rng)) + noise(rng), AT_REST)) - 1
         )
-    assert ghosts <= 5
+    assert ghosts <= 15  # 0.11 a scene are usual
 
 
 @pytest.mark.parametrize(("component", "step"), [(0, 4.0), (1, np.radians(6.0)), (2, np.radians(6.0))])

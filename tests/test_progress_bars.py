@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from cellslam.cli import progress_bars
+from cellslam import progress_bars
 from cellslam.sim.progress import silent
 
 
