@@ -17,6 +17,7 @@ TOOLS = {
     "stages": "seconds of a core by stage of a drive, of two checkouts in turn",
     "shards": "a sweep in shards that are killed and done twice, against the same in one",
     "fastslam": "what FastSLAM costs by particles, states and groups, beside its ratio to the bound",
+    "foreign-worlds": "map builders on worlds that nobody modelled, beside a batch solution",
     "preset-facts": "what a preset gives, measured with the ray tracer, into its file",
     "supported": "run the tests with each Python, and with the lowest and the newest dependencies",
     "fuzz": "read damaged files of every kind",

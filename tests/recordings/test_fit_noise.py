@@ -122,7 +122,7 @@ def test_one_command_learns_and_replays(cellslam: Run) -> None:
 def test_what_was_learnt_is_given_to_every_map_builder() -> None:
     """`replay --options fit.toml` tells an estimator what plain `replay` tells it."""
     values = {"detection_probability": 0.61, "clutter_density": 0.17, "noise_floor_m": 0.23}
-    learnt = Learnt(values, OdometryModel(*np.zeros((4, 6))), {}, True)
+    learnt = Learnt(values, OdometryModel(*np.zeros((4, 6))), {}, None)
     names = [entry.name for entry in registry.BUILT_IN]
     given = resolve(tomllib.loads(toml(Path("a.h5"), learnt))["estimator"], names, ())
     options = {r.name: r.options for r in given if isinstance(r.options, MeasurementOptions)}

@@ -19,6 +19,7 @@ from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.recording import Recording
 
 CHANCE = 1.2  # of two estimates that are about as good
+DRIVES, LONG = 3, ("trees by bad odometry", "cellular")  # of long ones one
 
 
 @pytest.fixture
@@ -36,11 +37,15 @@ FACTORS = {"hall": 5.0, "hall with an arm": 0.2, "places": 5.0, "beacons": 0.2, 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FACTORS)
 def test_what_is_learnt_does_no_harm(studies: Any, name: str) -> None:
-    """Campaigns of nearly all kinds by data sheets that are wrong by a factor of five, as they are and fitted."""
+    """Campaigns of nearly all kinds by data sheets that are wrong by a factor of five, as they are and fitted; of one
+    drive alone, either may have the smaller error by chance."""
     kinds, factor = {**studies("study_worlds").WORLDS, "surveyed": studies("study_worlds").surveyed}, FACTORS[name]
-    campaign = kinds[name](3000 + list(kinds).index(name))
-    recording = studies("study_sheets").mistold(build(campaign), "odometry", factor, ("ekf-slam",))
-    as_assumed, fitted = (error(recording, fit) for fit in (False, True))
+    squares = np.zeros(2)
+    for drive in range(1 if name in LONG else DRIVES):
+        campaign = kinds[name](3000 + list(kinds).index(name) + 100 * drive)
+        recording = studies("study_sheets").mistold(build(campaign), "odometry", factor, ("ekf-slam",))
+        squares += [error(recording, fit) ** 2 for fit in (False, True)]
+    as_assumed, fitted = np.sqrt(squares)
     assert fitted < CHANCE * as_assumed, (
         f"{name}, assumed {factor}: {as_assumed:.2f} m as assumed, {fitted:.2f} m fitted"
     )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.recordings.fitting.fit_noise import UNKNOWN
+from cellslam.recordings.fitting.fit_noise import unmodelled
 from cellslam.recordings.fitting.fit_sizes import Learnt, learn
 from cellslam.recordings.importing.campaign import KINDS_OF_NOISE
 from cellslam.recordings.importing.manifest import Noise
@@ -56,15 +56,16 @@ def assumed(
     overrides = {key: value for key, value in given.items() if not key.startswith("noise.")}
     sheet = changed_sheet(recording.odometry_model, {k: v for k, v in given.items() if k.startswith("noise.")})
     requests = _requests(origin.options, names, overrides, limit_s)
+    if origin.measured:
+        requests = _with(unmodelled(recording), origin, requests, overrides, limit_s)
     mapping = any(isinstance(r.options, MeasurementOptions) for r in requests)
     if not (origin.measured and mapping if fit is None else fit):
         return Assumptions(requests, sheet)
     try:
         learnt = learn(replace(recording, odometry_model=sheet), origin.assumed(), progress)
     except InputError as error:
-        learnt = Learnt(dict(UNKNOWN), sheet, {}, False)
-        return Assumptions(_with(learnt, origin, requests, overrides, limit_s), sheet, None, str(error))
-    return Assumptions(_with(learnt, origin, requests, overrides, limit_s), learnt.odometry_model, learnt)
+        return Assumptions(requests, sheet, None, str(error))
+    return Assumptions(_with(learnt.options, origin, requests, overrides, limit_s), learnt.odometry_model, learnt)
 
 
 def _refuse_code(origin: Origin, names: Sequence[str], given: Mapping[str, Any]) -> None:
@@ -79,11 +80,15 @@ def _refuse_code(origin: Origin, names: Sequence[str], given: Mapping[str, Any])
 
 
 def _with(
-    learnt: Learnt, origin: Origin, requests: Sequence[Request], overrides: Mapping[str, Any], limit_s: float
+    options: Mapping[str, Any],
+    origin: Origin,
+    requests: Sequence[Request],
+    overrides: Mapping[str, Any],
+    limit_s: float,
 ) -> tuple[Request, ...]:
-    """Return the requests with the options that were learnt."""
-    tables = {r.name: learnt.table(type(r.options) if r.options else None) for r in requests}
-    merged = {name: {**origin.options.get(name, {}), **table} for name, table in tables.items()}
+    """Return the requests with options that all map builders share."""
+    mapping = [r.name for r in requests if isinstance(r.options, MeasurementOptions)]
+    merged = {name: {**origin.options.get(name, {}), **options} for name in mapping}
     return _requests({**origin.options, **merged}, [r.target for r in requests], overrides, limit_s)
 
 

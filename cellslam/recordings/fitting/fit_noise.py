@@ -13,22 +13,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellslam.recordings.fitting.fit_persisting import NAMES, Persisting, in_unit, persisting, reach
-from cellslam.recordings.fitting.fit_tracks import QUANTITIES, Tracks, robust_std, tracks_of
+from cellslam.recordings.fitting.fit_tracks import QUANTITIES, Tracks, polled_share, robust_std, tracks_of
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Recording
-from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS
+from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS, MeasurementOptions
 from cellslam.slam.measurements.readings import CLUTTER_WIDTH
 
 LEAST_TRIPLES, LEAST_TRACKED, BINS = 100, 15, 8
 BIRTH_RATIO = (0.01, 0.5)  # bounds of what is learnt
 LEAST_WHITE = 1e-3  # m and deg: no filter can take a measurement for exact
-# Of a front end that nobody modelled, as far as too little was measured to tell its noise.
+# Of a front end that nobody modelled. What persists is small, not nothing: what is left out cannot be learnt.
 UNKNOWN = {
     **NOTHING_PERSISTS, "noise_floor_m": 0.3, "noise_floor_azimuth_deg": 2.0, "noise_floor_elevation_deg": 2.0,
     "noise_unit_snr_m": 0.0, "noise_unit_snr_azimuth_deg": 0.0, "noise_unit_snr_elevation_deg": 0.0,
+    "diffuse_m": 0.1, "diffuse_azimuth_deg": 0.6, "diffuse_elevation_deg": 0.6, "diffuse_scale_m": 1.0,
 }  # fmt: skip
+LEAST_PERSISTING = 0.3  # of white noise
 PLANE_ELEVATION_DEG = 0.5  # what estimators assume of the zero elevations of one plane
 
 
@@ -49,6 +51,17 @@ class Fitted:
     visible_s: float
 
 
+def unmodelled(recording: Recording) -> dict[str, float]:
+    """Return the options (m, deg, s), by name, of a front end that nobody modelled, before anything is learnt.
+
+    Where links are polled in turn, a snapshot says nothing of those that were not polled: as nobody knows which these
+    are, detections and clutter are so much rarer.
+    """
+    share, usual = polled_share(recording), MeasurementOptions()
+    seldom = {name: share * getattr(usual, name) for name in ("detection_probability", "clutter_density")}
+    return {**UNKNOWN, **seldom}
+
+
 def initial_options(recording: Recording, progress: Progress = silent) -> dict[str, float]:
     """Return the front-end options (m, deg, s) that the tracks of a recording give, by name.
 
@@ -62,7 +75,8 @@ def initial_options(recording: Recording, progress: Progress = silent) -> dict[s
         if floor is not None:
             out[f"noise_floor_{key}"] = max(floor, LEAST_WHITE)
             out[f"noise_unit_snr_{key}"] = fitted.unit.get(key, 0.0)
-            out[f"diffuse_{key}"] = fitted.persisting.place.get(key, 0.0)
+            white = np.hypot(floor, fitted.unit.get(key, 0.0))
+            out[f"diffuse_{key}"] = max(fitted.persisting.place.get(key, 0.0), LEAST_PERSISTING * white)
             out[f"calibration_{key}"] = fitted.persisting.direction.get(key, 0.0)
     if fitted.persisting.scale_m:
         out["diffuse_scale_m"] = fitted.persisting.scale_m
@@ -101,7 +115,7 @@ def fit(recording: Recording, progress: Progress = silent) -> Fitted:
         persisting=persisting(recording, tracks, white),
         range_m=range_m if range_known else None,
         detection_probability=detection,
-        clutter_density=_clutter(recording, tracks),
+        clutter_density=polled_share(recording) * _clutter(recording, tracks),
         birth_ratio=float(np.clip(count / (count + (tracks.track < 0).sum()), *BIRTH_RATIO)),
         visible_s=visible_s,
     )
@@ -160,7 +174,7 @@ def _detection(r: Recording, tracks: Tracks) -> tuple[float, float]:
 
 
 def _clutter(r: Recording, tracks: Tracks) -> float:
-    """Return rows without a track per link and snapshot and m rad rad (over the middle 90 % of their distances)."""
+    """Return rows without a track per link, epoch and m rad rad (over the middle 90 % of their distances)."""
     m = r.measurements
     loose = np.flatnonzero(tracks.track < 0)
     seen = len(np.unique((m.snapshot * max(len(r.links), 1) + m.link)[: tracks.rows]))

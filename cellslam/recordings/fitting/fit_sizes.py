@@ -8,6 +8,7 @@ likeliest (`slam.joint.sizes.stepped`):
 
 with share 1 in the first WHOLE passes, 1/2 in the others, and half of it where the drive has no answer to the sizes.
 The result are the sizes that fit best, of a pass whose slopes are the drive's own chance: mean of g_k^2 / I_k < FITS.
+They are taken where, and only where, they predict what is measured later better than the defaults do (`held_out`).
 
 Sources: Shumway and Stoffer, "An approach to time series smoothing and forecasting using the EM algorithm", Journal of
 Time Series Analysis 3(4), 1982; `slam.joint.sizes` has those of the steps.
@@ -15,7 +16,7 @@ Time Series Analysis 3(4), 1982; `slam.joint.sizes` has those of the steps.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import BaseModel
 
-from cellslam.recordings.fitting.fit_noise import initial_options
+from cellslam.recordings.fitting.fit_noise import initial_options, unmodelled
+from cellslam.recordings.fitting.held_out import Worth, compared, scores
 from cellslam.recordings.importing.campaign import KINDS_OF_NOISE
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, Floats, OdometryModel, Recording
@@ -35,7 +37,7 @@ from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.sizes import Sheets, Sizes, keys_of, stepped
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
-PASSES, WHOLE = 8, 2  # passes at most; so many take whole steps, the others half of them
+PASSES, WHOLE = 5, 2  # passes at most; so many take whole steps, the others half of them
 FITS = 2.0  # mean square of the slopes, in their deviations, from which on sizes are as good as right
 NOTABLE = 1.25  # factor by which a size must have changed to be reported
 LEAST_SURE = 0.5  # relative deviation of a size beyond which the size is not reported
@@ -53,14 +55,15 @@ class Learnt:
     """What was learnt: `options` that all map builders share, by name, and the odometry's data sheet.
 
     `changes`: by what factor a size of `slam.joint.sizes.OPTIONS` differs from what was assumed, and its relative
-    standard deviation; what the drive does not tell is left out, and stays as assumed. `resolved`: False where clock
-    offsets never were, so that nothing is learnt.
+    standard deviation; what the drive does not tell is left out, and stays as assumed. `worth`: how much better what
+    was learnt predicts than the defaults; None where clock offsets never were resolved, so that nothing was learnt.
+    Where it is not surely better, options and data sheet are the defaults.
     """
 
     options: dict[str, Any]
     odometry_model: OdometryModel
     changes: dict[str, tuple[float, float]]
-    resolved: bool
+    worth: Worth | None
 
     def table(self, model: type[BaseModel] | None) -> dict[str, Any]:
         """Return the options of an estimator, those that its model has; empty for one that shares none."""
@@ -68,35 +71,56 @@ class Learnt:
 
 
 def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Progress = silent) -> Learnt:
-    """Return the sizes that a recording shows.
+    """Return the sizes that a recording shows, or the defaults where these predict as well.
 
     `assumed`: front-end options to begin with, by name; None: nobody modelled this front end, and the tracks of its
     measurements give them. Raises InputError where these are too few to tell.
     """
+    sheet = recording.odometry_model
+    default = Learnt(dict(unmodelled(recording) if assumed is None else assumed), sheet, {}, None)
+    with progress("learning the sizes of errors", PASSES + 3) as advance:
+        fitted = _fitted(recording, assumed, advance)
+        if fitted is None:
+            return default
+        # What is learnt of the odometry is taken beside what is learnt of measurements, or not.
+        changes = {name: change for name, change in fitted.changes.items() if name not in COMPONENTS}
+        rivals = default, replace(fitted, odometry_model=sheet, changes=changes), fitted
+        options, found = [EkfSlamOptions(**one.options) for one in rivals], list[Floats]()
+        for one, own in zip(rivals, options, strict=True):
+            found.append(scores(recording, Sheets(own, one.odometry_model), options))
+            advance(1)
+    taken = 0
+    for i in range(1, len(rivals)):
+        if all(compared(found[other], found[i]).sure for other in (0, taken)):
+            taken = i
+    return replace(rivals[taken], worth=compared(found[0], found[taken or 1]))
+
+
+def _fitted(recording: Recording, assumed: Mapping[str, Any] | None, advance: Callable[[int], None]) -> Learnt | None:
+    """Return the sizes that fit best; None where clock offsets are never resolved."""
     sheet, bursts = recording.odometry_model, 1.0
     if assumed is None:
-        assumed, sheet, bursts = initial_options(recording, progress), _with_least(recording, sheet), BURSTS
+        assumed, sheet, bursts = initial_options(recording), _with_least(recording, sheet), BURSTS
     first = tried = Sheets(EkfSlamOptions(**{"start_limit_s": START_LIMIT_S} | dict(assumed)), sheet)
     last: Pass | None = None
     fitting: Pass | None = None
     share = 1.0
-    with progress("learning the sizes of errors", PASSES) as advance:
-        for number in range(PASSES):
-            found = _found(recording, tried)
-            advance(1)
-            if found is not None:
-                share = 1.0 if number < WHOLE else 0.5
-                nearer, off = stepped(tried, found, first, share)
-                last = Pass(tried, found, off)
-                fitting = last if fitting is None or off < fitting.off else fitting
-                if off < FITS:
-                    break
-                tried = nearer
-            elif last is None:
-                return Learnt(dict(assumed), sheet, {}, False)
-            else:
-                share *= 0.5
-                tried, _ = stepped(last.sheets, last.found, first, share)
+    for number in range(PASSES):
+        found = _found(recording, tried)
+        advance(1)
+        if found is not None:
+            share = 1.0 if number < WHOLE else 0.5
+            nearer, off = stepped(tried, found, first, share)
+            last = Pass(tried, found, off)
+            fitting = last if fitting is None or off < fitting.off else fitting
+            if off < FITS:
+                break
+            tried = nearer
+        elif last is None:
+            return None
+        else:
+            share *= 0.5
+            tried, _ = stepped(last.sheets, last.found, first, share)
     assert fitting is not None
     options, odometry = fitting.sheets
     noise = recording.odometry_model.noise_density
@@ -108,7 +132,7 @@ def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Pro
     }
     was, now = first.options.model_dump(), options.model_dump()
     shared = {key: value for key, value in sorted(now.items()) if key in assumed or value != was[key]}
-    return Learnt(shared, _safe(odometry, fitting.found, bursts), changes, True)
+    return Learnt(shared, _safe(odometry, fitting.found, bursts), changes, None)
 
 
 class Pass(NamedTuple):
@@ -185,15 +209,17 @@ def toml(path: Path, learnt: Learnt) -> str:
 
 def in_words(learnt: Learnt) -> list[str]:
     """Return lines that say what differs from what was assumed."""
-    if not learnt.resolved:
+    if learnt.worth is None:
         return ["sizes of errors as assumed: the clock offsets were never resolved, so nothing could be learnt"]
+    if not learnt.worth.sure:
+        return [f"kept the defaults: what was learnt does not surely predict better than they do ({learnt.worth})"]
     lines = [
         f"{sizes.in_words(name)}: {factor:.2g} times as large as assumed (+- {100.0 * deviation:.0f} %)"
         for name, (factor, deviation) in learnt.changes.items()
         if not 1.0 / NOTABLE < factor < NOTABLE
     ]
-    begin = "sizes of errors, as the whole drive shows them"
-    return [f"{begin}:", *(f"  {line}" for line in lines)] if lines else [f"{begin}, are those that were assumed"]
+    begin = f"sizes of errors, as the whole drive shows them ({learnt.worth})"
+    return [f"{begin}:", *(f"  {line}" for line in lines)] if lines else [f"{begin}, are about those that were assumed"]
 
 
 def _toml(value: float | str) -> str:

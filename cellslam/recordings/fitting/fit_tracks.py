@@ -18,6 +18,7 @@ MISSES = 3  # a track may pause for so many epochs of its link
 GATE = 4.0  # standard deviations of a prediction's error, in each quantity
 INITIAL_STD = (2.0, np.radians(5.0), np.radians(5.0))
 QUANTITIES = ("distance_m", "azimuth_rad", "elevation_rad")
+LONG_GAPS = 0.1  # share of the gaps between epochs of a link that are pauses, as behind an obstacle, or may be
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,20 @@ def _joined(r: Recording, poses: Floats, rows: int, scale: Floats) -> Steps:
         has_next[first[kept]], has_last[second[kept]] = True, True
         parts.append((first[kept], second[kept], np.full(len(kept), lag), innovation[kept]))
     return Steps(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
+
+
+def polled_share(recording: Recording) -> float:
+    """Return the share of snapshots in which a link is heard at all: 1 where all are heard at once, 1 / L where L
+    links are polled in turn. Of a snapshot in which it has no measurement nobody knows whether it was polled.
+
+    Median over links of one over the mean number of snapshots from epoch to epoch, the longest gaps left out.
+    """
+    m, shares = recording.measurements, []
+    for one in np.unique(m.link):
+        gaps = np.sort(np.diff(np.unique(m.snapshot[m.link == one])))
+        if len(gaps):
+            shares.append(1.0 / gaps[: max(int((1.0 - LONG_GAPS) * len(gaps)), 1)].mean())
+    return float(np.median(shares)) if shares else 1.0
 
 
 def _epochs(snapshot: Ints, link: Ints) -> Ints:
