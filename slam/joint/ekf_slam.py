@@ -280,9 +280,11 @@ class JointFilter:
         hits = dict(zip(slots[:, IDENT].tolist(), slots[:, HITS].tolist(), strict=True))
         for link, place, std in zip(*self._setup.surveyed, strict=True):
             (ident,), on_link = self._surveyed_idents(np.array([link])), rows[rows[:, 1] == link]
-            own = on_link[on_link[:, 0] == ident][0]
+            own = on_link[on_link[:, 0] == ident]
+            if not len(own):  # it has lost its say: its measurements do not fit any place
+                continue
             beside = [row[POSITION:SPREAD] for row in on_link if row[0] != ident and hits[row[0]] > hits[ident] - KNOWN]
-            moved, left2 = own[POSITION:SPREAD] - place, np.diag(own[SPREAD:KIND].reshape(3, 3))
+            moved, left2 = own[0, POSITION:SPREAD] - place, np.diag(own[0, SPREAD:KIND].reshape(3, 3))
             expected = np.sqrt(np.maximum(std**2 - left2, LEAST_SHOWN * std**2))
             refuted = bool((np.abs(moved) > REFUTED * expected)[std > 0.0].any())
             off = float(np.linalg.norm(moved))

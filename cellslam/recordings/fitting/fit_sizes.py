@@ -89,11 +89,10 @@ def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Pro
         for one, own in zip(rivals, options, strict=True):
             found.append(scores(recording, Sheets(own, one.odometry_model), options))
             advance(1)
-    taken = 0
-    for i in range(1, len(rivals)):
-        if all(compared(found[other], found[i]).sure for other in (0, taken)):
-            taken = i
-    return replace(rivals[taken], worth=compared(found[0], found[taken or 1]))
+    worth = [compared(found[0], own) for own in found]
+    surely = [i for i in range(1, len(rivals)) if worth[i].sure]
+    taken = max(surely, key=lambda i: worth[i].mean, default=0)
+    return replace(rivals[taken], worth=worth[taken or 1])
 
 
 def _fitted(recording: Recording, assumed: Mapping[str, Any] | None, advance: Callable[[int], None]) -> Learnt | None:
