@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import signal
 import subprocess
 import sys
@@ -14,6 +15,16 @@ import numpy as np
 from cellslam.sim.data_files import MOST_DEFLATED
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.recording.damage import LIMIT_S, LIMIT_S_PER_BYTE, refuse_elsewhere
+
+_READ = """
+import pickle, sys
+from scipy.io import loadmat
+try:
+    found = loadmat(sys.argv[1], simplify_cells=False)
+except Exception as error:
+    found = str(error).partition("\\n")[0] or type(error).__name__
+pickle.dump(found, sys.stdout.buffer)
+"""
 
 
 def variables(path: Path, names: Sequence[str] = ()) -> dict[str, Any]:
@@ -34,22 +45,18 @@ def variables(path: Path, names: Sequence[str] = ()) -> dict[str, Any]:
 
 
 def _read_old(path: Path) -> dict[str, Any]:
-    from scipy.io import loadmat
-
-    # SciPy may crash on a damaged file: another process reads it first.
-    command = [sys.executable, "-P", "-c", "import sys; from scipy.io import loadmat; loadmat(sys.argv[1])", str(path)]
+    # SciPy may crash on a damaged file, now or the next time: another process reads it, and hands over what it has.
     limit_s = LIMIT_S + LIMIT_S_PER_BYTE * path.stat().st_size
     try:
-        ended = subprocess.run(command, capture_output=True, timeout=limit_s, check=False).returncode
+        ended = subprocess.run([sys.executable, "-P", "-c", _READ, str(path)], capture_output=True, timeout=limit_s)
     except subprocess.TimeoutExpired:
         raise InputError(f"{path}: damaged: it was not read in {limit_s:.0f} s; export it again") from None
-    if ended < 0:
-        raise InputError(f"{path}: damaged: SciPy crashes on it ({signal.Signals(-ended).name}); export it again")
-    try:
-        raw = loadmat(str(path), simplify_cells=False)
-    except Exception as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: not a MATLAB file, or a damaged one ({reason}); export it again") from error
+    if ended.returncode < 0:
+        name = signal.Signals(-ended.returncode).name
+        raise InputError(f"{path}: damaged: SciPy crashes on it ({name}); export it again")
+    raw = pickle.loads(ended.stdout) if ended.returncode == 0 else f"exit status {ended.returncode}"
+    if isinstance(raw, str):
+        raise InputError(f"{path}: not a MATLAB file, or a damaged one ({raw}); export it again")
     return {name: _old_value(value) for name, value in raw.items() if not name.startswith("__")}
 
 
