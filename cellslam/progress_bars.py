@@ -98,10 +98,10 @@ def _repeated(
         done[0] += steps
 
     def watch() -> None:
-        told = 0
-        while told != times and not over.wait(every_s):
+        shown = 0
+        while shown != times and not over.wait(every_s):
             tell(done[0])
-            told += 1
+            shown += 1
 
     over = threading.Event()
     watching = threading.Thread(target=watch, daemon=True)

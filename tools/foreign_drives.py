@@ -1,9 +1,10 @@
 """Drives of worlds that no model of cellslam's front end made: NumPy alone, by the public way of `Campaign`.
 
 A world is drawn from its seed: area and duration; paths by the line of sight, mirrors, and point scatterers p, whose
-path from transmitter q to receiver r has length |p - q| + |p - r| and comes from p; transmitters surveyed or not, heard
-all at once or polled one at a time, with clocks or without; ranges with a common scale, noise and outliers; angles of
-0.3 to 5 degrees or none; odometry that is measured, slips, lags, or is commanded, by a data sheet that is a guess.
+path from transmitter q to receiver r has length |p - q| + |p - r| and comes from p; transmitters surveyed or not,
+observed all at once or polled one at a time, with clocks or without; ranges with a common scale, noise and outliers;
+angles of 0.3 to 5 degrees or none; odometry that is measured, slips, lags, or is commanded, by a data sheet that is a
+guess.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from cellslam.sim.lte.persisting_errors import Cause
 
 SMALLEST_SCALE = 1e-6  # s of a state: before it is smaller P takes it over, or 1 / s^2 would drown the rest
-LOOKS = 20  # from so many on, a VT counts in the map's bound over time
+LEAST_SEEN = 20  # from so many on, a VT counts in the map's bound over time
 EVERY = 10  # snapshots from one value of the map's bound to the next
 ROUNDING = 1e-14  # of a matrix's trace, that its eigenvalues can be wrong by
 IDLE = 0.03  # share of states that nothing meets any more, from which on they are taken out: to copy P takes time
@@ -58,13 +58,13 @@ class MapBound(Described):
     """Bound of the V true VTs at the end of a drive: `std_m` (V,), root of the trace of the position's covariance, NaN
     of VTs that were not seen; `error` (V, 3), estimate less truth in m of the filter that is linear about the truth.
 
-    `looks` (V,): in how many snapshots each was seen. `over_time_m` (T,): root mean square of the bound over the VTs
-    that have been seen at least `LOOKS` times by then, NaN before there is one.
+    `times_seen` (V,): in how many snapshots each was seen. `over_time_m` (T,): root mean square of the bound over the
+    VTs that have been seen at least `LEAST_SEEN` times by then, NaN before there is one.
     """
 
     std_m: Floats
     error: Floats
-    looks: Ints
+    times_seen: Ints
     over_time_m: Floats
 
 
@@ -151,7 +151,7 @@ def recursion(
     pose, offset, error = np.zeros((count, 6, 6)), np.zeros((count, len(core.offsets))), np.zeros((count, 6))
     joint = NOTHING.with_more(np.arange(core.size), motion.jump[0], np.diag(motion.start))
     joint = joint.with_more(known.states, known.m, known.P)
-    looks, over_time = _looks(drive, core), np.full(count, np.nan)
+    times_seen, over_time = _times_seen(drive, core), np.full(count, np.nan)
     survey, new = drive.survey, ~np.isin(drive.survey.state, known.states)  # a known map has it in
     joint = joint.with_more(survey.state[new], survey.error[new], np.diag(survey.variance[new]))
     with progress("Cramer-Rao bound", count) as advance:
@@ -162,7 +162,9 @@ def recursion(
             pose[t], error[t] = joint.P[:6, :6], joint.m[:6]
             offset[t] = joint.P[core.offsets, core.offsets]
             over_time[t] = (
-                _rms(_map_bound(joint, drive, core)[0][looks[t] >= LOOKS]) if t % EVERY == 0 else over_time[t - 1]
+                _rms(_map_bound(joint, drive, core)[0][times_seen[t] >= LEAST_SEEN])
+                if t % EVERY == 0
+                else over_time[t - 1]
             )
             last = drive.states.last[joint.states]
             gone = (last != NEVER) & (last <= t)
@@ -170,7 +172,7 @@ def recursion(
                 joint = joint.only(np.flatnonzero(~gone))
             advance(1)
     vts = (joint.states >= core.size) & (drive.states.last[joint.states] == NEVER)
-    of_map = MapBound(*_map_bound(joint, drive, core), looks[-1], over_time)
+    of_map = MapBound(*_map_bound(joint, drive, core), times_seen[-1], over_time)
     return BoundResult(pose, np.sqrt(np.maximum(offset, 0.0)), error, map=of_map), joint.only(np.flatnonzero(vts))
 
 
@@ -185,7 +187,7 @@ def _map_bound(joint: Joint, drive: Drive, core: Core) -> tuple[Floats, Floats]:
     return np.sqrt(variance), np.where(there, joint.m[at], np.nan)
 
 
-def _looks(drive: Drive, core: Core) -> Ints:
+def _times_seen(drive: Drive, core: Core) -> Ints:
     """Return in how many snapshots (T, V) each true VT has been seen by the end of each."""
     s, vt = drive.sightings, (drive.views.state[:, 0, 0] - core.size) // 3
     snapshot = np.zeros(len(vt), np.int64)

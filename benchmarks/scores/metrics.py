@@ -127,13 +127,13 @@ class Scored:
         known = np.flatnonzero(of >= 0)
         known = known[np.isfinite(self.bound.map.std_m[of[known]])]
         error = np.linalg.norm(vts.position_m[known] - truth.vts.position_m[of[known]], axis=1)
-        return error, self.bound.map.std_m[of[known]], self.bound.map.looks[of[known]]
+        return error, self.bound.map.std_m[of[known]], self.bound.map.times_seen[of[known]]
 
     @cached_property
     def settled(self) -> tuple[Floats, Floats]:
         """Errors and bounds (n,) in m of the final VTs that were seen in twenty snapshots or more."""
-        error, bound, looks = self.mapped
-        often = looks >= DETECTIONS_OF_A_TRUE_VT
+        error, bound, times_seen = self.mapped
+        often = times_seen >= DETECTIONS_OF_A_TRUE_VT
         return error[often], bound[often]
 
     @cached_property

@@ -27,12 +27,12 @@ SHAPES = {
     "time_s": "T", "poses": "T6", "error_m": "T", "nees": "T", "std_m": "T", "bound_std_m": "T", "offset_error_m": "TS",
     "offset_std_m": "TS", "vt_m": "V3", "vt_link": "V", "vt_first": "V", "vt_nees": "V", "horizontal_m": "T2",
     "covariance_m2": "T3", "heading_error_rad": "T", "heading_std_rad": "T", "map_error_m": "K", "map_bound_m": "K",
-    "map_looks": "K",
+    "map_times_seen": "K",
 }  # fmt: skip
 # Not in files of before.
 LATER = (
     *("horizontal_m", "covariance_m2", "heading_error_rad", "heading_std_rad"),
-    *("map_error_m", "map_bound_m", "map_looks"),
+    *("map_error_m", "map_bound_m", "map_times_seen"),
 )
 
 
@@ -45,8 +45,8 @@ class Trajectory:
     measurement that was associated with the VT, -1 where that is not known; `vt_nees` (V,): its normalised error
     squared (3 is right), NaN where it stands for no true VT. `horizontal_m` (T, 2): estimate less truth;
     `covariance_m2` (T, 3): xx, xy and yy of its claim; `heading_error_rad`, `heading_std_rad` (T,). `map_error_m`,
-    `map_bound_m`, `map_looks` (K,): of the final VTs that stand for a true one with a bound, in how many snapshots that
-    was seen.
+    `map_bound_m`, `map_times_seen` (K,): of the final VTs that stand for a true one with a bound, and in how many
+    snapshots that was seen.
     """
 
     time_s: Singles
@@ -67,7 +67,7 @@ class Trajectory:
     heading_std_rad: Singles
     map_error_m: Singles
     map_bound_m: Singles
-    map_looks: NDArray[np.int32]
+    map_times_seen: NDArray[np.int32]
 
     @property
     def errors(self) -> Errors:
@@ -109,7 +109,7 @@ def trajectory(recording: Recording, result: TrialResult, limit: BoundResult | N
         heading_std_rad=single(np.sqrt(np.maximum(errors.heading_variance, 0.0)) if known else empty),
         map_error_m=single(scored.mapped[0]),
         map_bound_m=single(scored.mapped[1]),
-        map_looks=scored.mapped[2].astype(np.int32),
+        map_times_seen=scored.mapped[2].astype(np.int32),
     )
 
 

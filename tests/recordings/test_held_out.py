@@ -112,7 +112,7 @@ def test_a_link_that_is_missed_or_hidden_for_a_while_is_not_taken_for_polled(tak
 
 @pytest.mark.slow
 def test_polled_beacons_are_not_missed_without_learning() -> None:
-    """Four beacons, each heard in every fourth snapshot: ranges hold the drive that odometry alone loses."""
+    """Four beacons, each observed in every fourth snapshot: ranges hold the drive that odometry alone loses."""
     recording = build(beacons(3))
     names = ("ekf-slam", "dead-reckoning")
     given: Any = assumed(recording, Origin.of(recording), names, {}, fit=False)

@@ -64,7 +64,7 @@ def draw_sweep(
         "error_time": lambda figure: _over_time(figure, data, "error_m", "horizontal error (m)"),
         "clock_offset": lambda figure: _over_time(figure, data, "offset_error_m", "clock offset error (m)"),
         "time_accuracy": lambda figure: _cost(figure, data, choice),
-        "map_looks": lambda figure: _looks(figure, data),
+        "map_against_bound": lambda figure: _map_against_bound(figure, data),
         "stanford": lambda figure: draw_stanford(figure, data),
         "ranks": lambda figure: draw_ranks(figure, sweep_data.verdicts_of(data)),
     }
@@ -123,22 +123,22 @@ def _consistency(figure: Figure, data: SweepData, panel: Panel) -> bool:
     return consistency_page.draw(figure, shown, panel.title)
 
 
-def _looks(figure: Figure, data: SweepData) -> bool:
+def _map_against_bound(figure: Figure, data: SweepData) -> bool:
     """Draw the root mean square of VTs' errors against how many snapshots saw them, and that of the bound."""
     found = {
         panel: {
-            one.label: np.concatenate([(d.map_error_m, d.map_bound_m, d.map_looks) for d in drives], axis=1)
+            one.label: np.concatenate([(d.map_error_m, d.map_bound_m, d.map_times_seen) for d in drives], axis=1)
             for one in panel.series
-            if (drives := [drive for drive in data.drives(one) if len(drive.map_looks)])
+            if (drives := [drive for drive in data.drives(one) if len(drive.map_times_seen)])
         }
         for panel in data.panels[:MOST_PANELS]
     }
     panels = [panel for panel, of in found.items() if of]
     for axes, panel, styles in _panels(figure, data, panels):
-        for label, (error, bound, looks) in found[panel].items():
-            bins = np.floor(np.log2(looks)).astype(int)
+        for label, (error, bound, times_seen) in found[panel].items():
+            bins = np.floor(np.log2(times_seen)).astype(int)
             there = np.unique(bins)
-            x = [np.exp(np.log(looks[bins == b]).mean()) for b in there]
+            x = [np.exp(np.log(times_seen[bins == b]).mean()) for b in there]
             for values, style in ((error, styles[label]), (bound, {**styles[label], "linestyle": ":", "label": None})):
                 axes.plot(
                     x, [np.sqrt(np.mean(values[bins == b] ** 2)) for b in there], **style, marker="o", markersize=3

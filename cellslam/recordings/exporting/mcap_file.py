@@ -161,8 +161,8 @@ def _marker(
     size: Any = (1.0, 1.0, 1.0), **more: Any,
 ) -> dict[str, Any]:  # fmt: skip
     here = pose or _pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
-    look = {"color": _xyz(colour, "rgba"), "scale": _xyz(size), "pose": here}
-    return {"ns": space, "id": number, "type": kind, "action": 0, **look, **more}
+    appearance = {"color": _xyz(colour, "rgba"), "scale": _xyz(size), "pose": here}
+    return {"ns": space, "id": number, "type": kind, "action": 0, **appearance, **more}
 
 
 def _array(time_s: float, markers: Sequence[dict[str, Any]]) -> dict[str, Any]:

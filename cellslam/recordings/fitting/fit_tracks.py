@@ -122,7 +122,7 @@ def _joined(r: Recording, poses: Floats, rows: int, scale: Floats) -> Steps:
 
 
 def polled_share(recording: Recording) -> float:
-    """Return the share of snapshots in which a link is heard at all: 1 where all are heard at once, 1 / L where L
+    """Return the share of snapshots in which a link is observed at all: 1 where all are observed at once, 1 / L where L
     links are polled in turn. Of a snapshot in which it has no measurement nobody knows whether it was polled.
 
     Median over links of one over the mean number of snapshots from epoch to epoch, the longest gaps left out.

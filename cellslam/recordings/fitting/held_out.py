@@ -142,10 +142,10 @@ def columns(snapshot: Snapshot) -> Floats:
 
 def _block(estimator: EkfSlam, steps: list[Step], spread: Spread) -> float:
     """Return the score of the snapshots of a block, which a copy of the filter goes through by odometry alone."""
-    heard = [i for i, (*_, snapshot) in enumerate(steps) if len(snapshot)]
-    if not heard:
+    observed = [i for i, (*_, snapshot) in enumerate(steps) if len(snapshot)]
+    if not observed:
         return float("nan")
-    scored = {heard[i] for i in np.linspace(0, len(heard) - 1, min(SCORED, len(heard))).astype(int)}
+    scored = {observed[i] for i in np.linspace(0, len(observed) - 1, min(SCORED, len(observed))).astype(int)}
     if estimator._joint is None:
         return float(np.mean([spread.log_score(steps[i][2]) for i in scored]))
     blind, found = copy.deepcopy(estimator), list[float]()

@@ -94,7 +94,9 @@ UNKNOWN = 0.9999  # variance, of 1, from which an error is as good as unknown
 AROUND, AHEAD = 20, 7  # guesses of an azimuth, of a distance
 FIRST_M, FARTHER = 15.0, 2.0  # first distance, ratio of one to the next
 WIDTH = 0.5  # deviation of a guess, in distances of neighbours
-LEAST_OPENING = 0.05  # of 1 + cosine between the ways to a scatterer: on the line of sight its place is not told
+LEAST_OPENING = (
+    0.05  # of 1 + cosine between the directions to a scatterer: on the line of sight its place cannot be told
+)
 NEARER = 3.0  # deviations by which a VT is surely nearer than another one
 
 

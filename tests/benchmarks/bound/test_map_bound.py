@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.bound.cramer_rao import LOOKS, bound
+from cellslam.benchmarks.bound.cramer_rao import LEAST_SEEN, bound
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.scores.statistics import efficiency_ratio
 from cellslam.benchmarks.scores.trial_result import TrialResult
@@ -27,13 +27,13 @@ def test_map_bound_equals_the_joint_kalman_recursion(make_recording: Any) -> Non
     assert found is not None
     first = plain.core.size + 3 * np.arange(len(recording.truth.vts))[:, None] + np.arange(3)
     expected = np.sqrt(np.diag(plain.P)[first].sum(axis=1))
-    seen = found.looks > 0
+    seen = found.times_seen > 0
     np.testing.assert_allclose(found.std_m[seen], expected[seen], rtol=1e-4)
     assert np.isnan(found.std_m[~seen]).all()
     m, truth = recording.measurements, recording.truth
     for vt in np.flatnonzero(seen):
-        assert found.looks[vt] == len(np.unique(m.snapshot[truth.measurement_vt == vt]))
-    settled = found.std_m[found.looks >= LOOKS]
+        assert found.times_seen[vt] == len(np.unique(m.snapshot[truth.measurement_vt == vt]))
+    settled = found.std_m[found.times_seen >= LEAST_SEEN]
     assert (
         len(settled)
         and found.over_time_m[50] == pytest.approx(found.over_time_m[59])
@@ -45,7 +45,7 @@ def test_map_bound_equals_the_joint_kalman_recursion(make_recording: Any) -> Non
 def perfect_filter(recording: Any) -> tuple[TrialResult, Any]:
     """What the filter that is linear about the truth says, and the bound."""
     limit, truth = bound(recording), recording.truth
-    seen = np.flatnonzero(limit.map.looks > 0)
+    seen = np.flatnonzero(limit.map.times_seen > 0)
     link = np.array([np.flatnonzero(recording.links.site == s)[0] for s in truth.vts.site[seen]])
     at = truth.vts.position_m[seen] + limit.map.error[seen]
     vts = VtEstimate(seen, link, at, np.tile(np.eye(3), (len(seen), 1, 1)))
@@ -64,7 +64,7 @@ def test_a_filter_that_is_linear_about_the_truth_has_a_ratio_of_one(make_recordi
         bounds.append(row["bound_map_m"])
         rows.append({**row, "status": "ok"})
         kept = trajectory(recording, result, limit)
-        often = kept.map_looks >= LOOKS
+        often = kept.map_times_seen >= LEAST_SEEN
         assert np.sqrt(np.mean(kept.map_error_m[often] ** 2)) == pytest.approx(row["map_rmse_m"], rel=1e-5)
     ratio, low, high = efficiency_ratio(np.array(errors), np.array(bounds), 0.95)
     assert 0.9 < ratio < 1.1 and low < 1.0 < high
