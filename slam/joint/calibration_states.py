@@ -34,7 +34,7 @@ def found(mixture: Mixture, errors: ArrayErrors) -> Calibration:
         place = states[i, met[there]]
         x[i, there] = mixture.arrays.x[i, place]
         p[i][np.ix_(there, there)] = mixture.arrays.p[i][np.ix_(place, place)]
-    mean, covariance = mixture_moments(mixture.shares(), x, p)
+    mean, covariance = mixture_moments(mixture.weights(), x, p)
     std = size[component[met]]
     g = errors.calibration_grid
     return Calibration(

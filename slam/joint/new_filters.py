@@ -18,9 +18,9 @@ from cellslam.slam.joint.state.layout import (
     NOBODY,
     POSE,
     SCORE,
-    SHARE,
     SLOT,
     VT_STATES,
+    WEIGHT,
     ArrayErrors,
     Block,
     Core,
@@ -36,7 +36,7 @@ from cellslam.slam.joint.state.layout import (
 from cellslam.slam.model.field_kernel import grid
 
 LONGEST = 16  # snapshots in a block at most
-STATES, VTS = 256, 48  # room of a new filter
+STATES, VTS = 256, 48  # that a new filter can hold
 MOST_STATES = 2040  # that a filter of all sites has, as a rule: memory that is not used costs nothing
 LOST = 64  # confirmed VTs that one block can push out
 # Spacing of cells and reach of bells, in scales. Correlations are right to 0.06 on the coarse grid, to 0.01 on the fine
@@ -136,16 +136,16 @@ def new_mixture(
         for std, grid in ((errors.calibration, errors.calibration_grid), (errors.roof, errors.roof_grid))
     )
     anchor = np.zeros((k, vts, ANCHOR))
-    anchor[:, :, SHARE], anchor[:, :, SCORE] = 1.0, MOST_SCORE
+    anchor[:, :, WEIGHT], anchor[:, :, SCORE] = 1.0, MOST_SCORE
     places, slots = np.full((k, vts, VT_STATES), -1), np.zeros((k, vts, SLOT), whole)
     arrays = Filter(
         core=core, x=x, p=p, size=np.full((k, 1), core.size), owner=np.full((k, states), NOBODY),
         count=np.zeros((k, 1), whole), links=np.ones((k, len(setup.links)), whole),
-        lights=np.zeros((k, len(setup.links)), whole),
+        illuminators=np.full((k, len(setup.links)), -1),
         fields=FieldWeights(place=np.full((k, weights), -1), met=np.zeros((k, weights), whole)),
         vts=Vts(state=places, anchor=anchor, slots=slots, spread=np.zeros((k, vts, 6))),
         lost=Lost(rows=np.zeros((k, LOST, ENTRY)), used=np.zeros((k, 1), whole)),
-        learnt=Learnt(sizes=np.zeros((k, 3, SIZES)), summed=np.zeros((k, 1)), surprise=np.zeros((k, 2))),
+        learnt=Learnt(sizes=np.zeros((k, 3, SIZES)), summed=np.zeros((k, 1)), nis=np.zeros((k, 2))),
         particles=Particles(deviation=np.zeros((k, states, 0)), weight=np.zeros((k, 0))),
     )  # fmt: skip
     track = Track(

@@ -114,9 +114,9 @@ def growth(mixture: Mixture) -> float:
 
     Diffuse energy moves distance, azimuth and elevation: distances, which merged paths hardly move, speak for all.
     """
-    share = mixture.shares()
+    weight = mixture.weights()
     slope, information, _ = mixture.likeliest.learnt.sizes[:, DIFFUSE_SIZE].tolist()
-    factor = max(_surely(slope, information), 1.0) if information > 0.0 and share.max() > 0.5 else 1.0
+    factor = max(_surely(slope, information), 1.0) if information > 0.0 and weight.max() > 0.5 else 1.0
     if factor > 1.0:
         mixture.arrays.learnt.sizes[:, :, DIFFUSE] = mixture.arrays.learnt.sizes[:, 2, :DIFFUSE_SIZE] = 0.0
     return factor

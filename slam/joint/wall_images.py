@@ -8,7 +8,7 @@ Which images are in one wall. The planes that mirror two sites to two VTs differ
 place between their visible parts. With H its Jacobian by the state, P the covariance and R how flat facades are, the
 log-odds of one wall are
 
-    log N(e; 0, S) + log ROOM,    S = H P H^T + R        if they are not one, they differ by anything within ROOM
+    log N(e; 0, S) + log AREA,    S = H P H^T + R        if they are not one, they differ by anything within AREA
 
 What is believed is imposed once, as a measurement of e = 0 with the covariance R (an iterated update): the joint filter
 then is one whose landmark is the wall.
@@ -37,8 +37,9 @@ import numpy as np
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.joint.map_states import confirmed_images
 from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
-from cellslam.slam.joint.state.layout import HITS, IDENT, LIGHT, LINK, SCORE, SHARE, SURVEYED, VT, Filter
+from cellslam.slam.joint.state.layout import HITS, IDENT, LINK, SURVEYED, VT, Filter
 from cellslam.slam.model.walls import image_in_wall, mirror_plane, normals, quarter_turned, reflection_point
 
 SITE_M = 15.0  # a VT this near to its site is the site once more
@@ -47,14 +48,14 @@ FEWEST_IMAGES, FEWEST_PLACES = 3, 60  # images and places that tell which VT is 
 MOST_FARTHER = 0.01  # share of the places at which it may be farther all the same
 
 # Walls that are next to each other differ by 90 degrees and 25 m either way, if they differ: uniform, in rad m.
-ROOM = math.pi * 50.0
+AREA = math.pi * 50.0
 RIVAL = 3.0  # log-odds by which a pair must be likelier than another one of either image
 GATE = 9.0  # squared Mahalanobis distance of what may be one
 ITERATIONS = 3  # of the update that imposes it
-TURNED = 0.5  # walls whose directions differ by more than this, in rad, are not looked at
+TURNED = 0.5  # walls whose directions differ by more than this, in rad, are not compared
 
-NEAR_M = 15.0  # a VT farther than this from an image's image is not looked at
-ROOM_M2 = 50.0**2  # over which VTs near one are, if it is not their place
+NEAR_M = 15.0  # a VT farther than this from an image's image is not compared
+AREA_M2 = 50.0**2  # over which VTs near one are, if it is not their place
 BY_CHANCE = 0.02  # share of the triples that are of something else whose paths meet both walls all the same
 MOST = 0.5  # of the places from which a VT was seen
 
@@ -91,9 +92,7 @@ def ends_of(f: Filter, images: Sequence[Image]) -> tuple[Floats, Floats, Ints]:
 
 def images_of(f: Filter, seen: Places, hits: int) -> list[Image]:
     """Return the images among a filter's VTs with so many detections, on links whose site is among them."""
-    anchor, mirrored = f.vts.anchor[: f.count[0]], f.vts.slots[: f.count[0], LIGHT] <= 0
-    fit = (f.vts.slots[: f.count[0], HITS] >= hits) & (anchor[:, SHARE] > 0.5) & (anchor[:, SCORE] > 0.0) & mirrored
-    slots = np.flatnonzero(fit)
+    slots = np.flatnonzero(confirmed_images(f, hits))
     surveyed = f.vts.slots[slots, SURVEYED] == 1  # seen or not
     slots = slots[surveyed | np.isin(f.vts.slots[slots, IDENT], list(seen))]
     found = list[Image]()
@@ -134,16 +133,16 @@ class Gap(NamedTuple):
     by: Floats
 
 
-def log_odds(f: Filter, gap: Gap, spread: Floats, room: float) -> float:
+def log_odds(f: Filter, gap: Gap, spread: Floats, area: float) -> float:
     """Return the log-odds that two things are one, of a gap with the variance `spread` (2, 2); -inf beyond the gate.
 
-    room: area, in the gap's units, over which two things differ, if they are not one.
+    area: in the gap's units, over which two things differ, if they are not one.
     """
     s = gap.by @ f.p[np.ix_(gap.at, gap.at)] @ gap.by.T + spread
     distance2 = float(gap.value @ np.linalg.solve(s, gap.value))
     if distance2 > GATE:
         return -math.inf
-    return -0.5 * distance2 - 0.5 * math.log(np.linalg.det(s)) - math.log(2.0 * math.pi) + math.log(room)
+    return -0.5 * distance2 - 0.5 * math.log(np.linalg.det(s)) - math.log(2.0 * math.pi) + math.log(area)
 
 
 def impose(f: Filter, measure: Callable[[Filter], Gap], spread: Floats) -> None:
@@ -219,7 +218,7 @@ def best_pair(f: Filter, images: list[Image], wall: Ints, flat: Flatness, odds: 
     score = np.full((len(images), len(images)), -math.inf)
     for i, j in combinations(range(len(images)), 2):
         if wall[i] != wall[j] and _next_to_each_other(images[i], images[j], flat.gap):
-            score[i, j] = score[j, i] = log_odds(f, apart(f, images[i], images[j]), flat.covariance, ROOM)
+            score[i, j] = score[j, i] = log_odds(f, apart(f, images[i], images[j]), flat.covariance, AREA)
     for flatly in np.argsort(-np.triu(score, 1), axis=None, kind="stable"):
         i, j = divmod(int(flatly), len(images))
         if i >= j or score[i, j] < odds:
@@ -260,7 +259,7 @@ def likeliest_double(
         mine = [image for image in images if image.site == site]
         for double in _near(f, site, mine):
             places = seen[double.vt.ident]
-            likely = log_odds(f, off(f, double), _spread(f, double, places, flat), ROOM_M2) - math.log(BY_CHANCE)
+            likely = log_odds(f, off(f, double), _spread(f, double, places, flat), AREA_M2) - math.log(BY_CHANCE)
             if likely > best and _meets_both(f, double, places, flat.gap):
                 best, answer = likely, double
     return answer

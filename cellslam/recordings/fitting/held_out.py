@@ -35,7 +35,7 @@ from cellslam.slam.api import Snapshot, Step, setup_of, steps_of
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.mixture import Mixture
 from cellslam.slam.joint.sizes import Sheets
-from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, geometry, rotations_of
+from cellslam.slam.joint.snapshot.observation_kernel import Sight, coordinates, geometry, rotations_of
 from cellslam.slam.joint.snapshot.update_kernel import covariance
 from cellslam.slam.joint.state.layout import HITS, LINK, TOUCHED, Filter
 from cellslam.slam.measurements.fusion import white

@@ -31,7 +31,7 @@ class Interval(NamedTuple):
 
 
 class Step(NamedTuple):
-    """Room for one step: `by` (6, core + 6): d(next pose)/d(core), and behind it d(next pose)/d(velocity); `rows`
+    """Memory for one step: `by` (6, core + 6): d(next pose)/d(core), and behind it d(next pose)/d(velocity); `rows`
     (6, n)."""
 
     by: Floats

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from cellslam.sim.compiling import lean, part
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.joint.snapshot.sight_kernel import roof_first
+from cellslam.slam.joint.snapshot.observation_kernel import roof_first
 from cellslam.slam.joint.state.layout import POSE, ArrayErrors, Filter
 from cellslam.slam.joint.state.states_kernel import covariance_of
 from cellslam.slam.model.matrices_kernel import Sym3, Vec3, dot, inverse, sym_vec

@@ -21,17 +21,18 @@ from typing import NamedTuple
 from cellslam.sim.compiling import lean
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry, range_factor
+from cellslam.slam.joint.snapshot.observation_kernel import Jacobian, coordinates, errors_of, geometry, range_factor
 from cellslam.slam.joint.snapshot.sizes_kernel import count_diffuse, count_white
 from cellslam.slam.joint.state.layout import (
     DIFFUSE,
     HITS,
-    LIGHT,
+    ILLUMINATOR,
     LINK,
     MERGED,
     POSE,
-    SHARE,
+    SCATTERER,
     VT,
+    WEIGHT,
     ArrayErrors,
     Block,
     Filter,
@@ -141,7 +142,7 @@ def log_likelihood(i: Innovation) -> tuple[float, float]:
 
 
 @lean
-def covariance(f: Filter, s: Sight) -> Sym3:
+def covariance(f: Filter, s: Jacobian) -> Sym3:
     """Return H P H^T in m^2, m rad and rad^2, H being the Jacobian s: the triangle below P's diagonal, twice."""
     xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(s.size[0]):
@@ -159,7 +160,7 @@ def covariance(f: Filter, s: Sight) -> Sym3:
 
 
 @lean
-def gains(f: Filter, s: Sight, w: Pending) -> Sym3:
+def gains(f: Filter, s: Jacobian, w: Pending) -> Sym3:
     """Write T = H P (3, n) into w.t, less what the pending rows G have taken off: T - (H G^T) G; return T H^T."""
     n, t0, t1, t2 = f.size[0], w.t[0], w.t[1], w.t[2]
     t0[:n] = 0.0
@@ -194,7 +195,7 @@ def gains(f: Filter, s: Sight, w: Pending) -> Sym3:
 
 
 @lean
-def times(s: Sight, column: Floats) -> Vec3:
+def times(s: Jacobian, column: Floats) -> Vec3:
     """Return the Jacobian s times a column (n,)."""
     x, y, z = 0.0, 0.0, 0.0
     for k in range(s.size[0]):
@@ -257,12 +258,12 @@ def add_up(f: Filter, w: Pending) -> None:
 
 @lean
 def correct(
-    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, part: float, rules: Rules, s: Sight,
-    w: Pending,
+    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, part: float, rules: Rules,
+    s: Jacobian, w: Pending,
 ) -> float:  # fmt: skip
     """Take in what a measurement of VT j says of the whole state; return its log-density.
 
-    part: of the measurement that counts, the others being of other guesses.
+    part: of the measurement that counts, the others being of other hypotheses.
     """
     if w.used[0] + 6 > len(w.rows):
         settle(f, w)
@@ -274,9 +275,9 @@ def correct(
     if rules.merge_rate > 0.0 and not math.isnan(e.y):
         allowed, lacks = allow_for_merging(f, j, new.e.y, new.s, measurement.q[1])
         new = Innovation(new.e, allowed, new.measured)
-    share = part * likely_share(new)
-    count_sizes(f, j, measurement, Innovation(vec_scaled(new.e, math.sqrt(share)), plain, new.measured), w)
-    widened = sym_scaled(new.s, 1.0 / share)
+    weight = part * huber_weight(new)
+    count_sizes(f, j, measurement, Innovation(vec_scaled(new.e, math.sqrt(weight)), plain, new.measured), w)
+    widened = sym_scaled(new.s, 1.0 / weight)
     counted = Innovation(new.e, sym_minus(widened, spread), new.measured)
     if len(f.particles.weight) > 0:
         innovate_particles(f, j, offset, measurement, e, counted, s, w)
@@ -300,7 +301,7 @@ def spread_of(f: Filter, j: int, e: Vec3) -> Sym3:
 
 @lean
 def innovate_particles(
-    f: Filter, j: int, offset: int, measurement: BlockMeasurement, e: Vec3, mean: Innovation, s: Sight, w: Pending
+    f: Filter, j: int, offset: int, measurement: BlockMeasurement, e: Vec3, mean: Innovation, s: Jacobian, w: Pending
 ) -> None:
     """Write the next three rows of w.whitened: what a measurement of VT j differs by from what each particle expects,
     given the measurements before it in the block, whitened by the covariance of the mean's innovation.
@@ -329,7 +330,7 @@ def innovate_particles(
             or at[0] == place
             or at[1] == place
             or at[2] == place
-            or is_of_light(f, j, place)
+            or is_of_illuminator(f, j, place)
         ):
             continue  # geometry, clock and scale of range, which are above
         _subtract(far, across, up, Vec3(b0, b1, b2), d[place])
@@ -344,12 +345,11 @@ def innovate_particles(
 
 
 @lean
-def is_of_light(f: Filter, j: int, place: int) -> bool:
-    """Return whether a state is a coordinate of what lights VT j."""
-    light = f.vts.slots[j, LIGHT] - 1
-    if light < 0:
+def is_of_illuminator(f: Filter, j: int, place: int) -> bool:
+    """Return whether a state is a coordinate of the illuminator of VT j."""
+    if f.vts.slots[j, SCATTERER] == 0:
         return False
-    at = f.vts.state[light]
+    at = f.vts.state[f.vts.slots[j, ILLUMINATOR]]
     return bool(at[VT] == place or at[VT + 1] == place or at[VT + 2] == place)
 
 
@@ -378,11 +378,11 @@ def _seen_by(f: Filter, j: int, measurement: BlockMeasurement, particle: int) ->
         place = Vec3(place.x + by[0], place.y + by[1], place.z + by[2])
         turned = rotations(measurement.pose[3] + by[3], measurement.pose[4] + by[4], measurement.pose[5] + by[5]).r
     point = _place_as_by(f, j, particle)
-    seen, light = spherical(transposed_vec(turned, vec_minus(point, place))), f.vts.slots[j, LIGHT] - 1
-    if light < 0:
+    seen = spherical(transposed_vec(turned, vec_minus(point, place)))
+    if f.vts.slots[j, SCATTERER] == 0:
         return Spherical(factor * seen.distance, seen.azimuth, seen.elevation)
-    way = vec_minus(point, _place_as_by(f, light, particle))
-    return Spherical(factor * (seen.distance + math.sqrt(dot(way, way))), seen.azimuth, seen.elevation)
+    path = vec_minus(point, _place_as_by(f, f.vts.slots[j, ILLUMINATOR], particle))
+    return Spherical(factor * (seen.distance + math.sqrt(dot(path, path))), seen.azimuth, seen.elevation)
 
 
 @lean
@@ -399,7 +399,7 @@ def _subtract(far: Floats, across: Floats, up: Floats, by: Vec3, row: Floats) ->
 
 
 @lean
-def show_steps(f: Filter, e: Vec3, new: Innovation, counted: Sym3, s: Sight, w: Pending) -> None:
+def show_steps(f: Filter, e: Vec3, new: Innovation, counted: Sym3, s: Jacobian, w: Pending) -> None:
     """Take in what an innovation says of steps of clocks, after the update by it, which took `counted` for its
     covariance; e with NaN where not measured."""
     if w.steps.used[0] == 0:
@@ -418,7 +418,7 @@ def show_steps(f: Filter, e: Vec3, new: Innovation, counted: Sym3, s: Sight, w: 
 
 
 @lean
-def _shown(left: Floats, e: Vec3, s: Sight) -> Vec3:
+def _shown(left: Floats, e: Vec3, s: Jacobian) -> Vec3:
     """Return H left, zero where e is NaN."""
     h = times(s, left)
     return Vec3(0.0 if math.isnan(e.x) else h.x, 0.0 if math.isnan(e.y) else h.y, 0.0 if math.isnan(e.z) else h.z)
@@ -445,9 +445,9 @@ def count_sizes(f: Filter, j: int, measurement: BlockMeasurement, i: Innovation,
 
 
 @lean
-def likely_share(i: Innovation) -> float:
-    """Return by what an innovation that is unlikely large counts for less: what no model has, as paths that merge, must
-    not outweigh what it has.
+def huber_weight(i: Innovation) -> float:
+    """Return the weight, 1 at most, of an innovation: less where it is unlikely large. What no model has, as paths that
+    merge, must not outweigh what it has.
 
     Source: Huber, Robust Statistics, 1981, section 7: weights that fall as the residual.
     """
@@ -457,7 +457,7 @@ def likely_share(i: Innovation) -> float:
 
 @lean
 def compare(
-    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, s: Sight, w: Pending
+    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, s: Jacobian, w: Pending
 ) -> tuple[Vec3, Sym3]:
     """Return what a measurement of VT j differs by from what is expected, and H P H^T; H P is left in w.t."""
     seen, z = geometry(f, j, offset, measurement.place, measurement.turned, coordinates(f, j), s), measurement.z
@@ -469,7 +469,7 @@ def compare(
 
 
 @lean
-def expected_share(rate: float) -> float:
+def merge_probability(rate: float) -> float:
     """Return the probability that another path has merged with one of which nothing is known.
 
     rate: how often that begins, 1/s; 0: never.
@@ -480,14 +480,14 @@ def expected_share(rate: float) -> float:
 @lean
 def expect_merging(f: Filter, rate: float, dt: float) -> None:
     """Let paths merge and part for a time dt (s)."""
-    share, left = expected_share(rate), math.exp(-(rate + END_RATE) * dt)
+    stationary, left = merge_probability(rate), math.exp(-(rate + END_RATE) * dt)
     for j in range(f.count[0]):
-        f.vts.anchor[j, MERGED] = share + left * (f.vts.anchor[j, MERGED] - share)
+        f.vts.anchor[j, MERGED] = stationary + left * (f.vts.anchor[j, MERGED] - stationary)
 
 
 @lean
 def expect_beside(
-    f: Filter, b: Block, j: int, offset: int, seen: Spherical, place: Vec3, turned: Rotations, confirm: int, s: Sight
+    f: Filter, b: Block, j: int, offset: int, seen: Spherical, place: Vec3, turned: Rotations, confirm: int, s: Jacobian
 ) -> None:
     """Expect that another path has merged with that of VT j, seen there (m and rad) in this block, where a confirmed VT
     that is not seen has its place within what is resolved."""
@@ -495,7 +495,7 @@ def expect_beside(
         sought = (
             f.vts.slots[i, LINK] == f.vts.slots[j, LINK]
             and f.vts.slots[i, HITS] >= confirm
-            and f.vts.anchor[i, SHARE] == 1.0
+            and f.vts.anchor[i, WEIGHT] == 1.0
         )
         if i == j or b.sums.detections[i] > 0 or not sought:
             continue
@@ -522,8 +522,8 @@ def allow_for_merging(f: Filter, j: int, e: float, s: Sym3, q: float) -> tuple[S
     log_sum = -0.5 * least + math.log(
         (1.0 - before) * math.exp(-0.5 * (plain - least)) + before * math.exp(-0.5 * (merged - least))
     )
-    share = before * math.exp(-0.5 * merged - log_sum)
-    f.vts.anchor[j, MERGED] = share
-    counted = s.yy - q + 1.0 / ((1.0 - share) / q + share / (q + LASTS * SHIFT2))
+    after = before * math.exp(-0.5 * merged - log_sum)
+    f.vts.anchor[j, MERGED] = after
+    counted = s.yy - q + 1.0 / ((1.0 - after) / q + after / (q + LASTS * SHIFT2))
     lacks = log_sum + 0.5 * (math.log(counted) + e2 / counted)
     return Sym3(s.xx, s.xy, s.xz, counted, s.yz, s.zz), lacks

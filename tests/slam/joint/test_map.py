@@ -16,8 +16,8 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Sites
 from cellslam.slam.api import Estimate, Setup
 from cellslam.slam.joint.ekf_slam import EkfSlam
+from cellslam.slam.joint.map_check import MapCheck
 from cellslam.slam.joint.map_states import WIDENED, Observed, Remembered, map_after, standing
-from cellslam.slam.joint.map_trial import MapTrial
 from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
 from cellslam.slam.joint.state.layout import ENTRY, UNSEEN, VT, block_of, one_of
 from cellslam.slam.model.measurement_model import jacobians
@@ -226,7 +226,7 @@ def test_a_map_that_explains_few_measurements_is_refused_once_clock_offsets_are_
     snapshots: list[tuple[int, bool]], believed: bool, refused: str
 ) -> None:
     """Of 100 measurements a snapshot so many are of the map's VTs, whose identities are 1000 and more."""
-    trial = MapTrial(range(1000, 2000))
+    trial = MapCheck(range(1000, 2000))
     for ours, resolved in snapshots:
         same = Estimate(np.zeros(6), np.eye(6), np.arange(100) + 1000 * (np.arange(100) < ours))
         trial.take(same, same, np.zeros(2), resolved=resolved, resolved_without=resolved)

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from cellslam.sim.compiling import njit
-from cellslam.slam.joint.snapshot.sight_kernel import rotations_of
+from cellslam.slam.joint.snapshot.observation_kernel import rotations_of
 from cellslam.slam.joint.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
 from cellslam.slam.joint.snapshot.update_kernel import BlockMeasurement, add_up, correct
 from cellslam.slam.joint.state.layout import LAST
@@ -45,7 +45,7 @@ def block(f, errors, offset, z, q, rules, sight, pending):
 def use(one, z):
     """Take measurements z (m, 3) at all VTs in as one block; return what it adds to the log-likelihood, and steps
     alone."""
-    density, steps = block(one.f, one.errors, one.offset, z, Q, one.rules, one.w.sight, one.w.pending)
+    density, steps = block(one.f, one.errors, one.offset, z, Q, one.rules, one.w.jacobian, one.w.pending)
     return density + steps, steps
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from cellslam.sim.frames import unit_vector, wrap_angle
 from cellslam.slam.joint import wall_images
-from cellslam.slam.joint.state.layout import EXISTS, HITS, IDENT, LINK, SHARE, SURVEYED, UNSEEN
+from cellslam.slam.joint.state.layout import EXISTS, HITS, IDENT, LINK, SURVEYED, UNSEEN, WEIGHT
 from cellslam.slam.joint.wall_images import Double, Flatness, apart, best_pair, images_of, impose, place_of
 from cellslam.slam.joint.wall_slam import Facades
 from cellslam.slam.model.measurement_model import jacobians, predict
@@ -34,7 +34,7 @@ def filter_of(one_filter, vts, std, rng=None):
     f, first, n = one.f, one.mixture.core.size, 3 * len(vts)
     for j, (link, _) in enumerate(vts):
         f.vts.slots[j, [LINK, HITS, IDENT, UNSEEN]] = link, 50, 10 + j, 0
-        f.vts.anchor[j, [EXISTS, SHARE]] = 1.0
+        f.vts.anchor[j, [EXISTS, WEIGHT]] = 1.0
     f.count[0] = len(vts)
     # Errors that all VTs share, beside those of their own: as those of a pose in common.
     scale = std * np.concatenate([[1.0, 1.0 / s[0], 1.0 / s[0]] for s in spherical])

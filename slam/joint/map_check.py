@@ -32,22 +32,22 @@ PLANE = np.array([0, 1, 3])
 WIDE = 0.3  # rad; where the heading is not known as well, a Gaussian does not say where the vehicle is
 
 
-class MapTrial:
+class MapCheck:
     """The trial of a map whose VTs have the identities `ours`."""
 
     def __init__(self, ours: range) -> None:
         self._ours, self._distance_m, self._lasting = ours, 0.0, 0
         self._last: Floats | None = None
         self._measurements = self._known = 0
-        self._surprise = np.zeros(2)
+        self._nis = np.zeros(2)
 
     def take(
-        self, with_map: Estimate, without: Estimate, surprise: Floats, *, resolved: bool, resolved_without: bool
+        self, with_map: Estimate, without: Estimate, nis: Floats, *, resolved: bool, resolved_without: bool
     ) -> None:
-        """Take in what both filters answer to a snapshot; `surprise` (2,): of first measurements of the map's VTs, as
+        """Take in what both filters answer to a snapshot; `nis` (2,): of first measurements of the map's VTs, as
         of a filter; `resolved`, `resolved_without`: whether each knows its clock offsets. Measurements with
         offsets that are not known say nothing of the map: the likeliest may be a wrong one."""
-        self._surprise = surprise
+        self._nis = nis
         if self._last is not None and resolved_without:
             self._distance_m += float(np.linalg.norm(with_map.pose[:2] - self._last))
         self._last = with_map.pose[:2]
@@ -65,7 +65,7 @@ class MapTrial:
     @property
     def refused(self) -> str:
         """Why the map does not fit, in a line; empty: it may."""
-        squares, count = self._surprise
+        squares, count = self._nis
         why = ""
         if count >= LEAST and squares - count > SURPRISED * np.sqrt(2.0 * count):
             why = f"first measurements of its VTs are {np.sqrt(squares / count):.1f} times as far off as they may be"

@@ -4,8 +4,8 @@
         + turns + ground + white,    k: scale of range
 
 A VT is where a path seems to come from. If it is a mirror image, the path is as long as it is far: the excess is 0. If
-it is a scatterer, a point that throws back what it is lit with, that came all the way from the light, another VT of the
-link: excess = |scatterer - light|. The light is the transmitter; an image of it lights what is seen over two bounces.
+it is a scatterer, it came to it from its illuminator, another VT of the link: excess = |scatterer - illuminator|. The
+illuminator is the transmitter; an image of it illuminates what is seen over two bounces.
 
 The direction is the predicted one, in the body frame. Fields of direction are linear in their weights: a row of bells.
 Their slope is left out of the Jacobian: with it the filter takes an error of the pose for one of the array.
@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from cellslam.sim.compiling import lean
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.joint.state.layout import DIFFUSE, LIGHT, POSE, VT, ArrayErrors, Filter
+from cellslam.slam.joint.state.layout import DIFFUSE, ILLUMINATOR, POSE, SCATTERER, VT, ArrayErrors, Filter
 from cellslam.slam.joint.state.states_kernel import enter, owner_of
 from cellslam.slam.model.field_kernel import Grid, bells
 from cellslam.slam.model.matrices_kernel import (
@@ -50,11 +50,11 @@ from cellslam.slam.model.measurement_kernel import (
 )
 
 FLATTEST = 0.05  # cosine of an elevation, at least, where azimuths turn with pitch and roll
-LEAST_EXCESS_M = 1e-3  # a scatterer is not at its light
+LEAST_EXCESS_M = 1e-3  # a scatterer is not at its illuminator
 PERMITTIVITY = 5.0  # of the ground, about that of concrete
 
 
-class Sight(NamedTuple):
+class Jacobian(NamedTuple):
     """The Jacobian of a measurement: `by` (3, W), of which `size` (1,) columns are in use, and `at` (W,), the states
     they are by; `cells`, `values` (MOST_BELLS,): scratch."""
 
@@ -72,7 +72,7 @@ def rotations_of(f: Filter) -> Rotations:
 
 
 @lean
-def put(s: Sight, place: int, row0: float, row1: float, row2: float) -> None:
+def put(s: Jacobian, place: int, row0: float, row1: float, row2: float) -> None:
     """Add a column: the derivative of distance, azimuth and elevation by a state."""
     n = s.size[0]
     s.at[n] = place
@@ -81,7 +81,7 @@ def put(s: Sight, place: int, row0: float, row1: float, row2: float) -> None:
 
 
 @lean
-def put_one(f: Filter, s: Sight, place: int, c: int, load: float) -> Vec3:
+def put_one(f: Filter, s: Jacobian, place: int, c: int, load: float) -> Vec3:
     """Add the column of a state that changes component c alone; return what the state does to the measurement."""
     by = Vec3(load if c == 0 else 0.0, load if c == 1 else 0.0, load if c == 2 else 0.0)
     put(s, place, by.x, by.y, by.z)
@@ -89,7 +89,7 @@ def put_one(f: Filter, s: Sight, place: int, c: int, load: float) -> Vec3:
 
 
 @lean
-def put_three(s: Sight, place: int, m: Mat3) -> None:
+def put_three(s: Jacobian, place: int, m: Mat3) -> None:
     """Add the columns by three states that follow one another."""
     put(s, place, m.xx, m.yx, m.zx)
     put(s, place + 1, m.xy, m.yy, m.zy)
@@ -118,30 +118,31 @@ def place_of(f: Filter, j: int) -> Vec3:
 
 
 @lean
-def put_light(f: Filter, light: int, place: Vec3, around: Mat3, factor: float, s: Sight) -> float:
-    """Add to the Jacobian s, whose last columns are by a scatterer's coordinates, what these and those of its light do
+def put_illuminator(f: Filter, illuminator: int, place: Vec3, around: Mat3, factor: float, s: Jacobian) -> float:
+    """Add to the Jacobian s, whose last columns are by a scatterer's coordinates, what these and its illuminator's do
     to the range; return the excess (m).
 
     place: of the scatterer (m), `around`: its derivative by the scatterer's coordinates; factor: 1 + k.
     """
-    way, light_at, first = vec_minus(place, place_of(f, light)), f.vts.state[light], s.size[0] - 3
-    excess = math.sqrt(max(dot(way, way), LEAST_EXCESS_M**2))
-    by_place = vec_scaled(way, factor / excess)
+    path, at, first = vec_minus(place, place_of(f, illuminator)), f.vts.state[illuminator], s.size[0] - 3
+    excess = math.sqrt(max(dot(path, path), LEAST_EXCESS_M**2))
+    by_place = vec_scaled(path, factor / excess)
     own = transposed_vec(around, by_place)
     s.by[0, first] += own.x
     s.by[0, first + 1] += own.y
     s.by[0, first + 2] += own.z
-    vt = coordinates(f, light)
+    vt = coordinates(f, illuminator)
     by = transposed_vec(cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation), by_place)
-    put(s, light_at[VT], -by.x, 0.0, 0.0)
-    put(s, light_at[VT + 1], -by.y, 0.0, 0.0)
-    put(s, light_at[VT + 2], -by.z, 0.0, 0.0)
+    put(s, at[VT], -by.x, 0.0, 0.0)
+    put(s, at[VT + 1], -by.y, 0.0, 0.0)
+    put(s, at[VT + 2], -by.z, 0.0, 0.0)
     return excess
 
 
 @lean
-def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt: Spherical, s: Sight) -> Spherical:
-    """Begin the Jacobian s of a measurement of VT j with pose, clock offset, scale of range, VT and light; return h,
+def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt: Spherical, s: Jacobian) -> Spherical:
+    """Begin the Jacobian s of a measurement of VT j with pose, clock offset, scale of range, VT and illuminator;
+    return h,
     scaled, without the offset, in m and rad.
 
     Seen from a place (m) with the rotation `turned`, the VT having these coordinates about its anchor. A place besides
@@ -170,16 +171,16 @@ def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt:
     put(s, at[VT], by_vt.xx, by_vt.yx, by_vt.zx)
     put(s, at[VT + 1], by_vt.xy, by_vt.yy, by_vt.zy)
     put(s, at[VT + 2], by_vt.xz, by_vt.yz, by_vt.zz)
-    if f.vts.slots[j, LIGHT] <= 0:
+    if f.vts.slots[j, SCATTERER] == 0:
         return Spherical(factor * seen.distance, seen.azimuth, seen.elevation)
-    excess = put_light(f, f.vts.slots[j, LIGHT] - 1, point, around, factor, s)
+    excess = put_illuminator(f, f.vts.slots[j, ILLUMINATOR], point, around, factor, s)
     if f.core.range_scale >= 0:
         s.by[0, POSE + 1] += excess
     return Spherical(factor * (seen.distance + excess), seen.azimuth, seen.elevation)
 
 
 @lean
-def field(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, now: int, s: Sight) -> Vec3:
+def field(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, now: int, s: Jacobian) -> Vec3:
     """Add a field's columns to the Jacobian; return its value in m and rad.
 
     std (3,): deviations, 0 where the field has no such component; first: number of its first weight; seen: the
@@ -204,7 +205,7 @@ def field(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, now: int
 
 
 @lean
-def believed(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, s: Sight) -> Vec3:
+def believed(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, s: Jacobian) -> Vec3:
     """Return a field's value in m and rad, as `field` does, and leave the Jacobian as it is."""
     size = s.size[0]
     value = field(f, g, std, first, seen, -1, s)
@@ -213,7 +214,7 @@ def believed(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, s: Si
 
 
 @lean
-def turns(f: Filter, seen: Spherical, share: float, s: Sight) -> Vec3:
+def turns(f: Filter, seen: Spherical, share: float, s: Jacobian) -> Vec3:
     """Add the turns of the array within a snapshot to the Jacobian; return what they do to a measurement, in m and rad.
 
     share: what of their deviation is left in the measurement, which may be a mean over a while.
@@ -231,7 +232,7 @@ def turns(f: Filter, seen: Spherical, share: float, s: Sight) -> Vec3:
 
 
 @lean
-def ground(f: Filter, seen: Spherical, s: Sight) -> Vec3:
+def ground(f: Filter, seen: Spherical, s: Jacobian) -> Vec3:
     """Add what the ground reflects to the Jacobian of a measurement; return what it does to it, in m and rad.
 
     A path that is reflected from the ground besides arrives from as far below the horizon, too little later to be told
@@ -250,7 +251,7 @@ def ground(f: Filter, seen: Spherical, s: Sight) -> Vec3:
 
 
 @lean
-def diffuse(f: Filter, j: int, std: Floats, share: float, enters: bool, s: Sight) -> Vec3:
+def diffuse(f: Filter, j: int, std: Floats, share: float, enters: bool, s: Jacobian) -> Vec3:
     """Add a VT's diffuse errors to the Jacobian; return them, in m and rad.
 
     std (3,): deviations; share: what of them is left in the measurement; enters: whether those enter that are not in
@@ -268,7 +269,7 @@ def diffuse(f: Filter, j: int, std: Floats, share: float, enters: bool, s: Sight
 
 @lean
 def errors_of(
-    f: Filter, a: ArrayErrors, j: int, seen: Spherical, diffuse_share: float, turn_share: float, now: int, s: Sight
+    f: Filter, a: ArrayErrors, j: int, seen: Spherical, diffuse_share: float, turn_share: float, now: int, s: Jacobian
 ) -> Vec3:
     """Add all errors that persist to the Jacobian of a measurement of VT j; return their sum as it is believed, m and
     rad."""
