@@ -36,6 +36,7 @@ from scipy.linalg import block_diag
 from scipy.linalg.blas import dgemm, dtrsm
 from threadpoolctl import threadpool_limits
 
+from cellslam.benchmarks.bound import DETECTIONS_OF_A_TRUE_VT
 from cellslam.benchmarks.bound.linear_model import NEVER, Core, Drive, linear_model
 from cellslam.benchmarks.bound.products_kernel import Sparse, times
 from cellslam.sim.described import Described
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
     from cellslam.sim.lte.persisting_errors import Cause
 
 SMALLEST_SCALE = 1e-6  # s of a state: before it is smaller P takes it over, or 1 / s^2 would drown the rest
-LEAST_SEEN = 20  # from so many on, a VT counts in the map's bound over time
 EVERY = 10  # snapshots from one value of the map's bound to the next
 ROUNDING = 1e-14  # of a matrix's trace, that its eigenvalues can be wrong by
 IDLE = 0.03  # share of states that nothing meets any more, from which on they are taken out: to copy P takes time
@@ -59,7 +59,7 @@ class MapBound(Described):
     of VTs that were not seen; `error` (V, 3), estimate less truth in m of the filter that is linear about the truth.
 
     `times_seen` (V,): in how many snapshots each was seen. `over_time_m` (T,): root mean square of the bound over the
-    VTs that have been seen at least `LEAST_SEEN` times by then, NaN before there is one.
+    VTs that have been seen at least `DETECTIONS_OF_A_TRUE_VT` times by then, NaN before there is one.
     """
 
     std_m: Floats
@@ -162,7 +162,7 @@ def recursion(
             pose[t], error[t] = joint.P[:6, :6], joint.m[:6]
             offset[t] = joint.P[core.offsets, core.offsets]
             over_time[t] = (
-                _rms(_map_bound(joint, drive, core)[0][times_seen[t] >= LEAST_SEEN])
+                _rms(_map_bound(joint, drive, core)[0][times_seen[t] >= DETECTIONS_OF_A_TRUE_VT])
                 if t % EVERY == 0
                 else over_time[t - 1]
             )

@@ -20,11 +20,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellslam.sim.compiling import lean
+import numpy as np
+
+from cellslam.sim.compiling import lean, part
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.joint.state.layout import DIFFUSE, ILLUMINATOR, POSE, SCATTERER, VT, ArrayErrors, Filter
+from cellslam.slam.joint.state.layout import DIFFUSE, ILLUMINATOR, POSE, SCATTERER, TOUCHED, VT, ArrayErrors, Filter
 from cellslam.slam.joint.state.states_kernel import enter, owner_of
-from cellslam.slam.model.field_kernel import Grid, bells
+from cellslam.slam.model.field_kernel import MOST_BELLS, Grid, bells
 from cellslam.slam.model.matrices_kernel import (
     Mat3,
     Vec3,
@@ -63,6 +65,15 @@ class Jacobian(NamedTuple):
     size: Ints
     cells: Ints
     values: Floats
+
+
+@part
+def new_jacobian() -> Jacobian:
+    """Return memory for a Jacobian."""
+    return Jacobian(
+        at=np.empty(TOUCHED, np.int64), by=np.empty((3, TOUCHED)), size=np.empty(1, np.int64),
+        cells=np.empty(MOST_BELLS, np.int64), values=np.empty(MOST_BELLS),
+    )  # fmt: skip
 
 
 @lean

@@ -21,7 +21,7 @@ from cellslam.slam.joint.snapshot.association_kernel import FRESH, NO_BIRTH, Mes
 from cellslam.slam.joint.snapshot.birth_kernel import begin, choose_illuminator, clear, possible, tidy
 from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
 from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, forget, move
-from cellslam.slam.joint.snapshot.observation_kernel import Jacobian, coordinates, geometry, rotations_of
+from cellslam.slam.joint.snapshot.observation_kernel import Jacobian, coordinates, geometry, new_jacobian, rotations_of
 from cellslam.slam.joint.snapshot.sizes_kernel import SWAY, count_motion, count_states
 from cellslam.slam.joint.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
 from cellslam.slam.joint.snapshot.tentative_kernel import update_hypotheses
@@ -49,7 +49,6 @@ from cellslam.slam.joint.state.layout import (
     LINK,
     LOG_RATIO,
     POSE,
-    TOUCHED,
     UNSEEN,
     WEIGHT,
     ArrayErrors,
@@ -61,7 +60,6 @@ from cellslam.slam.joint.state.layout import (
     one_of,
 )
 from cellslam.slam.model.arrays_kernel import put
-from cellslam.slam.model.field_kernel import MOST_BELLS
 from cellslam.slam.model.matrices_kernel import Vec3
 from cellslam.slam.model.measurement_kernel import rotations
 
@@ -376,10 +374,7 @@ def new_workspace(f: Filter, m: int, pending: int) -> Workspace:
     )
     return Workspace(
         step=Step(by=np.empty((POSE, f.core.size + POSE)), rows=np.empty((POSE, states))),
-        jacobian=Jacobian(
-            at=np.empty(TOUCHED, np.int64), by=np.empty((3, TOUCHED)), size=np.empty(1, np.int64),
-            cells=np.empty(MOST_BELLS, np.int64), values=np.empty(MOST_BELLS),
-        ),
+        jacobian=new_jacobian(),
         pairs=Pairs(
             score=np.empty((vts, m)), distance2=np.empty((vts, m)), chosen=np.empty(vts, np.int64),
             row_of=np.empty(m, np.int64), gated=np.empty(m, np.int64), slot_of=np.empty(m, np.int64),
