@@ -234,8 +234,8 @@ class FastSlam(JointFilter):
     def _end_block(self, f: Filter, b: Block, errors: ArrayErrors, interval: Interval, measured: Measured) -> float:
         """Update, weigh, draw and resample a group; return what adds to its log-weight beside its VTs."""
         work, parts, before = self._workspace_for(f, measured), self.parts, f.x[: f.size[0]].copy()
-        site_of, places = measured.site_of, self._core.drawn
-        drawn = places[(self._block + 1) % len(places)] if self._drawn_blocks else NOTHING_DRAWN
+        site_of, indices = measured.site_of, self._core.drawn
+        drawn = indices[(self._block + 1) % len(indices)] if self._drawn_blocks else NOTHING_DRAWN
         if self.options.lag < 0:
             self._draw_blindly(f, b, drawn)
             spread_over_particles(f, site_of, work)

@@ -116,18 +116,18 @@ def end_block(
     """End a block whose update began in the mean `before` (n,): take the rows of work.pending off the covariance, and
     do what the joint filter does then; return what that adds to the group's log-weight.
 
-    drawn (6,): places of the noise that was drawn, -1 for none; a new block begins, in which it is zero so far.
+    drawn (6,): indices of the noise that was drawn, -1 for none; a new block begins, in which it is zero so far.
     """
     settle(f, work.pending)
     work.pending.added[:] = 0.0
     for c in range(len(drawn)):
-        place = drawn[c]
-        if place >= 0:
-            f.x[place] = 0.0
-            f.particles.deviation[place] = 0.0
+        index = drawn[c]
+        if index >= 0:
+            f.x[index] = 0.0
+            f.particles.deviation[index] = 0.0
             for i in range(f.size[0]):
-                f.p[place, i] = 0.0
-                f.p[i, place] = 0.0
+                f.p[index, i] = 0.0
+                f.p[i, index] = 0.0
     return end_update(f, a, b, before, noise, seen, work.pending)
 
 

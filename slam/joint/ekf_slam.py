@@ -132,7 +132,7 @@ class JointFilter:
         self._core = core_of(self._setup, self._errors, self._drawn_blocks)
         self._past: list[tuple[Interval, Measured]] = []
         self._beside: tuple[JointFilter, MapCheck] | None = None
-        self._instead: JointFilter | None = None  # the filter without the map, once the map is refused
+        self._instead: JointFilter | None = None  # the filter without the map, once the map is rejected
         self._misfit: list[str] = []
         if known is not None:
             without = self._alike()
@@ -169,19 +169,19 @@ class JointFilter:
         answer = self._step(dt_s, odometry, snapshot)
         if self._beside is None:
             return answer
-        without, trial = self._beside
+        without, check = self._beside
         other = without.step(dt_s, odometry, snapshot)
-        trial.take(answer, other, self._nis, resolved=self.resolved, resolved_without=without.resolved)
-        if trial.refused:
-            without._misfit = [trial.refused]
+        check.take(answer, other, self._nis, resolved=self.resolved, resolved_without=without.resolved)
+        if check.rejected:
+            without._misfit = [check.rejected]
             self._instead, self._beside, self._start, self._joint = without, None, None, None
-        elif trial.over:
+        elif check.over:
             self._beside = None
-        return answer if trial.believed else other
+        return answer if check.accepted else other
 
     @property
     def _valid(self) -> JointFilter:
-        """The filter that answers: this one, or that without the map, once the map is refused."""
+        """The filter that answers: this one, or that without the map, once the map is rejected."""
         return self if self._instead is None else self._instead
 
     @property
@@ -191,7 +191,7 @@ class JointFilter:
 
     @property
     def _nis(self) -> Floats:
-        """What the likeliest filters have of `nis` (2,)."""
+        """The sums of `learnt.nis` (2,) of the likeliest filters."""
         mixtures = self._start.mixtures if self._start is not None else [self._joint] if self._joint is not None else []
         return np.asarray(np.sum([mixture.likeliest.learnt.nis for mixture in mixtures], axis=0))
 

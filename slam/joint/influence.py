@@ -1,13 +1,13 @@
-"""What each path says of the filters of a mixture, and how much it may.
+"""How far each path may change the weights of the filters of a mixture.
 
 A path over an edge, or one whose azimuth errs because it merges with another, is the image of no wall. It fits one
 wrong clock offset at each of a hundred measurements. As a product their likelihoods would rule out the right offset,
-though all of them are wrong together. So what a path may say has bounds, over its whole life: its measurements are at
-least as likely as clutter, and at least so likely as in the best filter, but for a factor of exp(-MOST).
+though all of them are wrong together. So its log-likelihood has bounds, over its whole life: its measurements are at least as
+likely as clutter, and at least so likely as in the best filter, but for a factor of exp(-MOST).
 
 A transmitter that was surveyed is where it is: in a filter with a wrong clock offset its line of sight begins another
-VT, which explains the path as well from then on. What that VT explains does not count, and the line of sight may say
-more, exp(-MOST_SURVEYED).
+VT, which explains the path as well from then on. What that VT explains does not count, and the line of sight has a
+wider bound, exp(-MOST_SURVEYED).
 
 Source: bounded influence (Hampel et al., Robust Statistics, 1986); the likelihood is that of three explanations of a
 path, of which the likeliest is taken: the image of a wall, clutter, and something that is neither.
@@ -29,7 +29,7 @@ BIRTH = 3.0  # log-likelihood that each VT costs: it counts for more than clutte
 
 @dataclass
 class Influence:
-    """What the paths say of a mixture of K filters: log-ratios `log_ratio` (K, v) of the likelihood of each VT's
+    """The evidence of paths for the K filters of a mixture: log-ratios `log_ratio` (K, v) of the likelihood of each VT's
     measurements to that of clutter, by its identity (v,) and that of the first VT of its path (v,); and all else that
     is in the log-weights: `rest` (K,)."""
 
@@ -102,14 +102,14 @@ class Influence:
         self.log_ratio = np.pad(self.log_ratio, ((0, 0), (0, len(ident))))[:, order]
 
     def of(self, filters: Ints) -> Influence:
-        """Return what is said of some filters (k,), in their order."""
+        """Return the evidence for some filters (k,), in their order."""
         some = Influence(self.rest[filters], self.ident, self.path)
         some.log_ratio = self.log_ratio[filters]
         return some
 
 
 def bounded(log_ratio: Floats, path: Ints, surveyed: Ints) -> Floats:
-    """Return what paths say of each filter (K,), by the log-ratios (K, v) of VTs and their paths (v,).
+    """Return the bounded log-likelihoods (K,) of filters, by the log-ratios (K, v) of VTs and their paths (v,).
 
     `surveyed`: the paths of surveyed transmitters.
     """

@@ -107,13 +107,13 @@ class Remembered:
         for n, own in enumerate(by @ known.own_m2[which] @ np.swapaxes(by, 1, 2)):
             f.p[size + 3 * n : size + 3 * n + 3, size + 3 * n : size + 3 * n + 3] += own
         for n, vt in enumerate(which.tolist()):
-            j, places = count + n, size + 3 * n + np.arange(3)
+            j, at = count + n, size + 3 * n + np.arange(3)
             f.vts.slots[j] = self.link[vt], known.hits[vt], now - 1, self.first_ident + vt, 1, 0, 0, 0, -1
             f.vts.anchor[j, :3] = known.anchor_m[vt]
             f.vts.anchor[j, [EXISTS, WEIGHT]], f.vts.anchor[j, [MERGED, LOG_RATIO]] = 1.0, 0.0
             f.vts.anchor[j, SCORE] = MOST_SCORE
-            f.vts.state[j], f.vts.state[j, VT : VT + 3] = -1, places
-            f.owner[places] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
+            f.vts.state[j], f.vts.state[j, VT : VT + 3] = -1, at
+            f.owner[at] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
             f.vts.spread[j] = 0.0
             clear(b, j)
         f.count[0], f.size[0] = count + len(which), size + 3 * len(which)

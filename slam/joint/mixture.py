@@ -157,8 +157,8 @@ class Mixture:
     def share_particles(self, count: int, resample: Callable[[Floats], Ints]) -> None:
         """Give each filter so many particles: of those that it has, `resample` of their weights chooses; the first ones
         are at its mean."""
-        k, rooms, old, b = len(self), len(self.arrays.x), self.arrays.particles, self.blocks
-        deviation, weight = np.zeros((*self.arrays.x.shape, count)), np.full((rooms, count), 1.0 / count)
+        k, capacity, old, b = len(self), len(self.arrays.x), self.arrays.particles, self.blocks
+        deviation, weight = np.zeros((*self.arrays.x.shape, count)), np.full((capacity, count), 1.0 / count)
         poses = np.zeros((*b.track.pose.shape, count))
         for i in range(k if old.weight.shape[1] else 0):
             ancestors = resample(old.weight[i])
@@ -190,9 +190,9 @@ class Mixture:
     def keep(self, kept: Ints) -> None:
         """Keep the filters `kept` (k,), and no others, in the order in which they are."""
         kept = np.sort(kept)
-        for place, k in enumerate(kept.tolist()):
-            if place != k:
-                self._copy(k, place)
+        for to, k in enumerate(kept.tolist()):
+            if to != k:
+                self._copy(k, to)
         self.log_weight, self.influence = self.log_weight[kept], self.influence.of(kept)
         if 2 * len(kept) < len(self.arrays.x):
             self._resize(len(kept))
@@ -204,7 +204,7 @@ class Mixture:
 
     def reserve(self, states: int, vts: int) -> None:
         """Grow the arrays to hold so many more states and VTs."""
-        arrays, width, places = self.arrays, len(self.arrays.x[0]), len(self.arrays.vts.slots[0])
+        arrays, width, vts_at_most = self.arrays, len(self.arrays.x[0]), len(self.arrays.vts.slots[0])
         if _most_of(arrays.size) + states > width:
             more = max(min(width // 2, self._most_states - width), states)
             arrays = arrays._replace(
@@ -212,8 +212,8 @@ class Mixture:
                 p=_covariances(arrays, len(arrays.x), width + more),
                 particles=arrays.particles._replace(deviation=_padded(arrays.particles.deviation, more, 1)),
             )  # fmt: skip
-        if _most_of(arrays.count) + vts > places:
-            more = max(places // 2, vts)
+        if _most_of(arrays.count) + vts > vts_at_most:
+            more = max(vts_at_most // 2, vts)
             arrays = arrays._replace(vts=_padded(arrays.vts, more, 1))
             self.blocks = self.blocks._replace(sums=_padded(self.blocks.sums, more, 1))
         self.arrays = arrays

@@ -129,8 +129,8 @@ def sizes_of(mixture: Mixture, errors: ArrayErrors, noise: Floats, grown: float)
     """
     f, core = mixture.likeliest, mixture.core
     f = f._replace(learnt=f.learnt._replace(sizes=f.learnt.sizes.copy()))
-    for place in np.flatnonzero(f.owner[: f.size[0]] >= 0):
-        count_weight(f, errors, int(place))
+    for index in np.flatnonzero(f.owner[: f.size[0]] >= 0):
+        count_weight(f, errors, int(index))
     count_states(f, core.noise, ODOMETRY, noise**2 * f.learnt.summed[0])
 
     def squares(of: Ints) -> Floats:

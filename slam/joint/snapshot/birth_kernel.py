@@ -31,7 +31,7 @@ from cellslam.slam.joint.snapshot.observation_kernel import (
     coordinates,
     errors_of,
     geometry,
-    place_of,
+    position_of,
     range_factor,
     roof_first,
     rotations_of,
@@ -230,7 +230,7 @@ def scatterer_of(f: Filter, b: Block, j: int, s: Jacobian, w: Pending) -> None:
     if illuminator < 0 or illuminator == j or new == len(f.vts.slots) or first + 3 > len(f.x):
         return
     vt, anchor, at = coordinates(f, j), Vec3(f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2]), f.vts.state[j]
-    u, to_illuminator = direction(vt.azimuth, vt.elevation), vec_minus(place_of(f, illuminator), anchor)
+    u, to_illuminator = direction(vt.azimuth, vt.elevation), vec_minus(position_of(f, illuminator), anchor)
     if vt.distance < math.sqrt(dot(to_illuminator, to_illuminator)) + LEAST_EXCESS_M:
         return
     far = (vt.distance**2 - dot(to_illuminator, to_illuminator)) / (2.0 * (vt.distance - dot(u, to_illuminator)))
@@ -334,10 +334,10 @@ def remove(f: Filter, b: Block, j: int) -> None:
         put(f.vts.slots[j], f.vts.slots[last])
         put(f.vts.spread[j], f.vts.spread[last])
         for c in range(f.vts.state.shape[1]):
-            place = f.vts.state[last, c]
-            f.vts.state[j, c], f.vts.state[last, c] = place, -1
-            if place >= 0:
-                f.owner[place] = owner_of(j, c, f.vts.state.shape[1])
+            index = f.vts.state[last, c]
+            f.vts.state[j, c], f.vts.state[last, c] = index, -1
+            if index >= 0:
+                f.owner[index] = owner_of(j, c, f.vts.state.shape[1])
         b.sums.detections[j], b.sums.diffuse[j], b.sums.odds[j] = (
             b.sums.detections[last],
             b.sums.diffuse[last],
@@ -392,7 +392,7 @@ def map_of(mixture: Filter, k: int, hits: int) -> Floats:
 
 
 @lean
-def _hand_on(f: Filter, j: int) -> None:
+def _bequeath_log_ratio(f: Filter, j: int) -> None:
     """Let a hypothesis of the same VT that is left, if any, have the log-ratio of VT j."""
     for i in range(f.count[0]):
         same = f.vts.slots[i, IDENT] == f.vts.slots[j, IDENT] and f.vts.slots[i, LINK] == f.vts.slots[j, LINK]
@@ -413,23 +413,23 @@ def tidy(f: Filter, a: ArrayErrors, b: Block, now: int, rules: Rules) -> None:
         if mode == BELIEF:
             gone = f.vts.anchor[j, EXISTS] < rules.existence.drop and hits < lifetime.confirm
         if f.vts.anchor[j, WEIGHT] == 0.0 or (mode in (FREE, BELIEF) and gone):
-            _hand_on(f, int(j))
+            _bequeath_log_ratio(f, int(j))
             remove(f, b, int(j))
         else:
             j += 1
-    place = np.int64(f.core.size)
-    while place < f.size[0]:
-        owner = f.owner[place]
+    index = np.int64(f.core.size)
+    while index < f.size[0]:
+        owner = f.owner[index]
         if owner >= 0:
             gone = owner >= roof_first(a) and now - f.fields.met[owner] > lifetime.hold
         else:
-            gone = (OF_VT - owner) % f.vts.state.shape[1] >= DIFFUSE and f.p[place, place] > UNKNOWN
+            gone = (OF_VT - owner) % f.vts.state.shape[1] >= DIFFUSE and f.p[index, index] > UNKNOWN
         if gone:
             if owner >= 0:
-                count_weight(f, a, int(place))
-            leave(f, int(place))
+                count_weight(f, a, int(index))
+            leave(f, int(index))
         else:
-            place += 1
+            index += 1
 
 
 @lean

@@ -83,28 +83,28 @@ def rotations_of(f: Filter) -> Rotations:
 
 
 @lean
-def put(s: Jacobian, place: int, row0: float, row1: float, row2: float) -> None:
+def put(s: Jacobian, index: int, row0: float, row1: float, row2: float) -> None:
     """Add a column: the derivative of distance, azimuth and elevation by a state."""
     n = s.size[0]
-    s.at[n] = place
+    s.at[n] = index
     s.by[0, n], s.by[1, n], s.by[2, n] = row0, row1, row2
     s.size[0] = n + 1
 
 
 @lean
-def put_one(f: Filter, s: Jacobian, place: int, c: int, load: float) -> Vec3:
+def put_one(f: Filter, s: Jacobian, index: int, c: int, load: float) -> Vec3:
     """Add the column of a state that changes component c alone; return what the state does to the measurement."""
     by = Vec3(load if c == 0 else 0.0, load if c == 1 else 0.0, load if c == 2 else 0.0)
-    put(s, place, by.x, by.y, by.z)
-    return vec_scaled(by, f.x[place])
+    put(s, index, by.x, by.y, by.z)
+    return vec_scaled(by, f.x[index])
 
 
 @lean
-def put_three(s: Jacobian, place: int, m: Mat3) -> None:
+def put_three(s: Jacobian, index: int, m: Mat3) -> None:
     """Add the columns by three states that follow one another."""
-    put(s, place, m.xx, m.yx, m.zx)
-    put(s, place + 1, m.xy, m.yy, m.zy)
-    put(s, place + 2, m.xz, m.yz, m.zz)
+    put(s, index, m.xx, m.yx, m.zx)
+    put(s, index + 1, m.xy, m.yy, m.zy)
+    put(s, index + 2, m.xz, m.yz, m.zz)
 
 
 @lean
@@ -121,7 +121,7 @@ def range_factor(f: Filter) -> float:
 
 
 @lean
-def place_of(f: Filter, j: int) -> Vec3:
+def position_of(f: Filter, j: int) -> Vec3:
     """Return where VT j stands, in m."""
     vt = coordinates(f, j)
     to_vt = vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)
@@ -129,13 +129,13 @@ def place_of(f: Filter, j: int) -> Vec3:
 
 
 @lean
-def put_illuminator(f: Filter, illuminator: int, place: Vec3, around: Mat3, factor: float, s: Jacobian) -> float:
+def put_illuminator(f: Filter, illuminator: int, position: Vec3, around: Mat3, factor: float, s: Jacobian) -> float:
     """Add to the Jacobian s, whose last columns are by a scatterer's coordinates, what these and its illuminator's do
     to the range; return the excess (m).
 
-    place: of the scatterer (m), `around`: its derivative by the scatterer's coordinates; factor: 1 + k.
+    position: of the scatterer (m), `around`: its derivative by the scatterer's coordinates; factor: 1 + k.
     """
-    path, at, first = vec_minus(place, place_of(f, illuminator)), f.vts.state[illuminator], s.size[0] - 3
+    path, at, first = vec_minus(position, position_of(f, illuminator)), f.vts.state[illuminator], s.size[0] - 3
     excess = math.sqrt(max(dot(path, path), LEAST_EXCESS_M**2))
     by_place = vec_scaled(path, factor / excess)
     own = transposed_vec(around, by_place)
@@ -151,23 +151,25 @@ def put_illuminator(f: Filter, illuminator: int, place: Vec3, around: Mat3, fact
 
 
 @lean
-def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt: Spherical, s: Jacobian) -> Spherical:
+def geometry(
+    f: Filter, j: int, offset: int, position: Vec3, turned: Rotations, vt: Spherical, s: Jacobian
+) -> Spherical:
     """Begin the Jacobian s of a measurement of VT j with pose, clock offset, scale of range, VT and illuminator;
     return h,
     scaled, without the offset, in m and rad.
 
-    Seen from a place (m) with the rotation `turned`, the VT having these coordinates about its anchor. A place besides
-    the present one, as that of an earlier measurement, turns with the vehicle.
+    Seen from a position (m) with the rotation `turned`, the VT having these coordinates about its anchor. A position
+    besides the present one, as that of an earlier measurement, turns with the vehicle.
     """
     anchor, at = Vec3(f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2]), f.vts.state[j]
     point = vec_plus(anchor, vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance))
-    to_vt = vec_minus(point, place)
+    to_vt = vec_minus(point, position)
     body = transposed_vec(turned.r, to_vt)
     seen, factor, by = spherical(body), range_factor(f), spherical_jacobian(body)
     by_body = Mat3(factor * by.xx, factor * by.xy, factor * by.xz, by.yx, by.yy, by.yz, by.zx, by.zy, by.zz)
     by_place = mat_mat(by_body, transposed(turned.r))
     by_yaw = mat_vec(by_body, transposed_vec(turned.by_psi, to_vt))
-    by_turn = mat_vec(by_place, Vec3(f.x[1] - place.y, place.x - f.x[0], 0.0))
+    by_turn = mat_vec(by_place, Vec3(f.x[1] - position.y, position.x - f.x[0], 0.0))
     s.size[0] = 0
     put_three(s, 0, scaled(by_place, -1.0))
     put_three(s, 3, columns(
@@ -204,13 +206,13 @@ def field(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, now: int
             continue
         for k in range(count):
             owner = first + component * g.cells + s.cells[k]
-            place = f.fields.place[owner]
+            index = f.fields.state[owner]
             if now >= 0:
                 f.fields.met[owner] = now
-                if place < 0:
-                    place = enter(f, owner, 1.0)
-            if place >= 0:
-                value = vec_plus(value, put_one(f, s, place, c, std[c] * s.values[k]))
+                if index < 0:
+                    index = enter(f, owner, 1.0)
+            if index >= 0:
+                value = vec_plus(value, put_one(f, s, index, c, std[c] * s.values[k]))
         component += 1
     return value
 
@@ -250,15 +252,15 @@ def ground(f: Filter, seen: Spherical, s: Jacobian) -> Vec3:
     apart. The elevation measured is the mean of both, weighted by their powers: 1, and the square of Fresnel's
     coefficient for vertical polarisation. The state is how many times as much that pulls, 0 for no ground.
     """
-    place = f.core.ground
-    if place < 0 or seen.elevation <= 0.0:
+    index = f.core.ground
+    if index < 0 or seen.elevation <= 0.0:
         return Vec3(0.0, 0.0, 0.0)
     sine = math.sin(seen.elevation)
     root = math.sqrt(PERMITTIVITY - 1.0 + sine * sine)
     power = ((PERMITTIVITY * sine - root) / (PERMITTIVITY * sine + root)) ** 2
     pull = -2.0 * seen.elevation * power / (1.0 + power)
-    put(s, place, 0.0, 0.0, pull)
-    return Vec3(0.0, 0.0, pull * f.x[place])
+    put(s, index, 0.0, 0.0, pull)
+    return Vec3(0.0, 0.0, pull * f.x[index])
 
 
 @lean
@@ -270,11 +272,11 @@ def diffuse(f: Filter, j: int, std: Floats, share: float, enters: bool, s: Jacob
     """
     value = Vec3(0.0, 0.0, 0.0)
     for c in range(3):
-        place = f.vts.state[j, DIFFUSE + c]
-        if place < 0 and enters and std[c] > 0.0:
-            place = enter(f, owner_of(j, DIFFUSE + c, f.vts.state.shape[1]), 1.0)
-        if place >= 0:
-            value = vec_plus(value, put_one(f, s, place, c, share * std[c]))
+        index = f.vts.state[j, DIFFUSE + c]
+        if index < 0 and enters and std[c] > 0.0:
+            index = enter(f, owner_of(j, DIFFUSE + c, f.vts.state.shape[1]), 1.0)
+        if index >= 0:
+            value = vec_plus(value, put_one(f, s, index, c, share * std[c]))
     return value
 
 

@@ -118,7 +118,7 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
     """Add to each VT's log-odds that it was detected or missed in this snapshot.
 
     The first measurement of a VT of a remembered map, or at one that returns, counts as whole: that something is where
-    the map has it, is news.
+    the map has it is new evidence.
     """
     rules, horizon = seen.rules.association, seen.tables.shape[2] - 1
     for j in range(f.count[0]):
@@ -189,8 +189,8 @@ def _count(b: Block, j: int, c: int, e: float, q: float) -> None:
 def give_births(
     f: Filter, a: ArrayErrors, b: Block, seen: Measured, association: Ints, s: Jacobian, w: Pairs, p: Pending
 ) -> None:
-    """Begin VTs with measurements that nothing explains; that says nothing of a filter: else it could win by
-    measurements that it does not explain."""
+    """Begin VTs with measurements that nothing explains. They do not change the weight of a filter: else it could
+    win by measurements that it does not explain."""
     rules = seen.rules
     for link in range(len(seen.first) - 1):
         offset, start, stop = f.core.first_offset + seen.site_of[link], seen.first[link], seen.first[link + 1]
@@ -288,7 +288,7 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Jaco
             expect_beside(f, b, j, offset, h, there, turned, rules.lifetime.confirm, s)
         diffuse, turn = shares(b, a, j)
         measurement = BlockMeasurement(
-            z=z, q=q, white=white, pose=middle, place=there, turned=turned, diffuse=diffuse, turn=turn, now=seen.now,
+            z=z, q=q, white=white, pose=middle, position=there, turned=turned, diffuse=diffuse, turn=turn, now=seen.now,
             deviation=b.track.deviation[at],
         )  # fmt: skip
         if slots[j, UNSEEN] == 1:

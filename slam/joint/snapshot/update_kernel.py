@@ -92,14 +92,14 @@ class Pending(NamedTuple):
 class BlockMeasurement(NamedTuple):
     """A measurement, or the mean of several: `z`, `q` (3,): distance, azimuth, elevation in m and rad, NaN where not
     measured, and their variances, `white` (3,) but for what merged paths do; seen from the `pose` (6,), which is
-    `place` (m) and the rotation `turned`, by each particle from a pose that differs from this one by `deviation`
+    `position` (m) and the rotation `turned`, by each particle from a pose that differs from this one by `deviation`
     (6, N); `diffuse`, `turn`: what is left in it of the deviation of these errors; `now`: snapshot."""
 
     z: Floats
     q: Floats
     white: Floats
     pose: Floats
-    place: Vec3
+    position: Vec3
     turned: Rotations
     diffuse: float
     turn: float
@@ -322,18 +322,18 @@ def innovate_particles(
         across[c] = wrap(whole.y + expected.azimuth - h.azimuth)
         up[c] = whole.z + expected.elevation - h.elevation
     for m in range(s.size[0]):
-        place, b0, b1, b2 = s.at[m], s.by[0, m], s.by[1, m], s.by[2, m]
+        index, b0, b1, b2 = s.at[m], s.by[0, m], s.by[1, m], s.by[2, m]
         if (
-            place < POSE
-            or place == offset
-            or place == f.core.range_scale
-            or at[0] == place
-            or at[1] == place
-            or at[2] == place
-            or is_of_illuminator(f, j, place)
+            index < POSE
+            or index == offset
+            or index == f.core.range_scale
+            or at[0] == index
+            or at[1] == index
+            or at[2] == index
+            or is_of_illuminator(f, j, index)
         ):
             continue  # geometry, clock and scale of range, which are above
-        _subtract(far, across, up, Vec3(b0, b1, b2), d[place])
+        _subtract(far, across, up, Vec3(b0, b1, b2), d[index])
     for r in range(k):
         _subtract(far, across, up, times(s, w.rows[r]), w.whitened[r])
     for c in range(len(f.particles.weight)):
@@ -345,16 +345,16 @@ def innovate_particles(
 
 
 @lean
-def is_of_illuminator(f: Filter, j: int, place: int) -> bool:
+def is_of_illuminator(f: Filter, j: int, index: int) -> bool:
     """Return whether a state is a coordinate of the illuminator of VT j."""
     if f.vts.slots[j, SCATTERER] == 0:
         return False
     at = f.vts.state[f.vts.slots[j, ILLUMINATOR]]
-    return bool(at[VT] == place or at[VT + 1] == place or at[VT + 2] == place)
+    return bool(at[VT] == index or at[VT + 1] == index or at[VT + 2] == index)
 
 
 @lean
-def _place_as_by(f: Filter, j: int, particle: int) -> Vec3:
+def _position_by(f: Filter, j: int, particle: int) -> Vec3:
     """Return where a particle has VT j, in m, or the mean (-1)."""
     at, x, d = f.vts.state[j], f.x, f.particles.deviation
     distance, azimuth, elevation = x[at[0]], x[at[1]], x[at[2]]
@@ -370,18 +370,18 @@ def _place_as_by(f: Filter, j: int, particle: int) -> Vec3:
 def _seen_by(f: Filter, j: int, measurement: BlockMeasurement, particle: int) -> Spherical:
     """Return the measured distance (m), without clock offset, and direction (rad) of VT j as a particle has both, or
     the mean (-1)."""
-    d, place, turned = f.particles.deviation, measurement.place, measurement.turned.r
+    d, position, turned = f.particles.deviation, measurement.position, measurement.turned.r
     factor, scale = range_factor(f), f.core.range_scale
     if particle >= 0:
         factor += d[scale, particle] if scale >= 0 else 0.0
         by = measurement.deviation[:, particle]
-        place = Vec3(place.x + by[0], place.y + by[1], place.z + by[2])
+        position = Vec3(position.x + by[0], position.y + by[1], position.z + by[2])
         turned = rotations(measurement.pose[3] + by[3], measurement.pose[4] + by[4], measurement.pose[5] + by[5]).r
-    point = _place_as_by(f, j, particle)
-    seen = spherical(transposed_vec(turned, vec_minus(point, place)))
+    point = _position_by(f, j, particle)
+    seen = spherical(transposed_vec(turned, vec_minus(point, position)))
     if f.vts.slots[j, SCATTERER] == 0:
         return Spherical(factor * seen.distance, seen.azimuth, seen.elevation)
-    path = vec_minus(point, _place_as_by(f, f.vts.slots[j, ILLUMINATOR], particle))
+    path = vec_minus(point, _position_by(f, f.vts.slots[j, ILLUMINATOR], particle))
     return Spherical(factor * (seen.distance + math.sqrt(dot(path, path))), seen.azimuth, seen.elevation)
 
 
@@ -436,12 +436,12 @@ def count_sizes(f: Filter, j: int, measurement: BlockMeasurement, i: Innovation,
     )  # fmt: skip
     count_white(f, i.e, s, white)
     for c in range(3):
-        place = f.vts.state[j, DIFFUSE + c]
-        if place >= 0:
-            before = f.p[place, place]
+        index = f.vts.state[j, DIFFUSE + c]
+        if index >= 0:
+            before = f.p[index, index]
             for r in range(w.used[0]):
-                before -= w.rows[r, place] ** 2
-            count_diffuse(f, c, before, white[c], Vec3(w.t[0, place], w.t[1, place], w.t[2, place]), i.e, s)
+                before -= w.rows[r, index] ** 2
+            count_diffuse(f, c, before, white[c], Vec3(w.t[0, index], w.t[1, index], w.t[2, index]), i.e, s)
 
 
 @lean
@@ -460,7 +460,7 @@ def compare(
     f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, s: Jacobian, w: Pending
 ) -> tuple[Vec3, Sym3]:
     """Return what a measurement of VT j differs by from what is expected, and H P H^T; H P is left in w.t."""
-    seen, z = geometry(f, j, offset, measurement.place, measurement.turned, coordinates(f, j), s), measurement.z
+    seen, z = geometry(f, j, offset, measurement.position, measurement.turned, coordinates(f, j), s), measurement.z
     errors = errors_of(f, a, j, seen, measurement.diffuse, measurement.turn, measurement.now, s)
     e = Vec3(
         z[0] - seen.distance - f.x[offset] - errors.x, z[1] - seen.azimuth - errors.y, z[2] - seen.elevation - errors.z
@@ -487,8 +487,9 @@ def expect_merging(f: Filter, rate: float, dt: float) -> None:
 
 @lean
 def expect_beside(
-    f: Filter, b: Block, j: int, offset: int, seen: Spherical, place: Vec3, turned: Rotations, confirm: int, s: Jacobian
-) -> None:
+    f: Filter, b: Block, j: int, offset: int, seen: Spherical, position: Vec3, turned: Rotations, confirm: int,
+    s: Jacobian,
+) -> None:  # fmt: skip
     """Expect that another path has merged with that of VT j, seen there (m and rad) in this block, where a confirmed VT
     that is not seen has its place within what is resolved."""
     for i in range(f.count[0]):
@@ -499,7 +500,7 @@ def expect_beside(
         )
         if i == j or b.sums.detections[i] > 0 or not sought:
             continue
-        other = geometry(f, i, offset, place, turned, coordinates(f, i), s)
+        other = geometry(f, i, offset, position, turned, coordinates(f, i), s)
         if (
             abs(other.distance - seen.distance) < UNRESOLVED[0]
             and abs(wrap(other.azimuth - seen.azimuth)) < UNRESOLVED[1]

@@ -41,9 +41,9 @@ class Core(NamedTuple):
     has summed up to lately, clock offsets (S), rates of those that drift, errors that the VTs of a remembered map have
     in common.
 
-    `bias`, `scale`, `noise` (6,), `rate` (S,): place of each component's error and of each offset's rate, `sway` (3,),
-    `ground`, `range_scale`, -1 where there is none; `drawn` (D, 6): places of what the odometry's white noise sums up
-    to in each of the last D blocks, in a filter that draws it, -1 where a component has none. `wander` (2, S):
+    `bias`, `scale`, `noise` (6,), `rate` (S,): indices of each component's error and of each offset's rate, `sway`
+    (3,), `ground`, `range_scale`, -1 where there is none; `drawn` (D, 6): what the odometry's white noise sums
+    up to in each of the last D blocks, in a filter that draws it, -1 where a component has none. `wander` (2, S):
     densities of the walks of offsets and rates, m/sqrt(s), (m/s)/sqrt(s); `step_m` (S,): deviation of the size of steps
     of offsets, m, 0 where a clock does not step. From `first_common` to `size`: the map's errors.
     """
@@ -95,17 +95,17 @@ class ArrayErrors(NamedTuple):
 
 
 class FieldWeights(NamedTuple):
-    """The weights (W,) of the fields of direction: `place` of each among the states, -1 where it is none; snapshot in
-    which it was `met` last."""
+    """The weights (W,) of the fields of direction: index of the `state` of each, -1 where it is none; snapshot in which
+    it was `met` last."""
 
-    place: Ints
+    state: Ints
     met: Ints
 
 
 class Vts(NamedTuple):
-    """V VTs: `state` (V, 6): places of the states of each, -1 where there is none; `anchor` (V, 9) and integers `slots`
-    (V, 10), as above; `spread` (V, 6): covariance over the particles of what they expect to measure of each VT, xx, xy,
-    xz, yy, yz, zz in m and rad. A VT that is known exactly has states without variance."""
+    """V VTs: `state` (V, 6): indices of the states of each, -1 where there is none; `anchor` (V, 9) and integers
+    `slots` (V, 10), as above; `spread` (V, 6): covariance over the particles of what they expect to measure of each VT,
+    xx, xy, xz, yy, yz, zz in m and rad. A VT that is known exactly has states without variance."""
 
     state: Ints
     anchor: Floats
@@ -310,7 +310,7 @@ def one_of(mixture: Filter, k: int) -> Filter:
     return Filter(
         core=mixture.core, x=mixture.x[k], p=mixture.p[k], size=mixture.size[k], owner=mixture.owner[k],
         count=mixture.count[k], links=mixture.links[k], illuminators=mixture.illuminators[k],
-        fields=FieldWeights(place=fields.place[k], met=fields.met[k]),
+        fields=FieldWeights(state=fields.state[k], met=fields.met[k]),
         vts=Vts(state=vts.state[k], anchor=vts.anchor[k], slots=vts.slots[k], spread=vts.spread[k]),
         lost=Lost(rows=lost.rows[k], used=lost.used[k]),
         learnt=Learnt(sizes=learnt.sizes[k], summed=learnt.summed[k], nis=learnt.nis[k]),

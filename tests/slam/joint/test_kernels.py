@@ -180,11 +180,11 @@ def test_fields_are_one_kalman_filter_over_all_weights(one_filter: Any, kalman: 
         add_up(f, w.pending)
         if now == 30:  # give up some weights: in the joint filter they are marginalised, and met again as new ones
             for owner in list(f.owner[f.core.size : f.size[0]])[:20]:
-                leave(f, int(f.fields.place[owner]))
+                leave(f, int(f.fields.state[owner]))
                 mean[owner], cov[owner], cov[:, owner], cov[owner, owner] = 0.0, 0.0, 0.0, 1.0
-    met = np.flatnonzero(f.fields.place >= 0)
+    met = np.flatnonzero(f.fields.state >= 0)
     assert len(met) > 80
-    places = f.fields.place[met]
+    places = f.fields.state[met]
     np.testing.assert_allclose(f.x[places], mean[met], atol=1e-9)
     np.testing.assert_allclose(f.p[np.ix_(places, places)], cov[np.ix_(met, met)], atol=1e-9)
 
