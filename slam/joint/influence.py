@@ -2,8 +2,8 @@
 
 A path over an edge, or one whose azimuth errs because it merges with another, is the image of no wall. It fits one
 wrong clock offset at each of a hundred measurements. As a product their likelihoods would rule out the right offset,
-though all of them are wrong together. So its log-likelihood has bounds, over its whole life: its measurements are at least as
-likely as clutter, and at least so likely as in the best filter, but for a factor of exp(-MOST).
+though all of them are wrong together. So its log-likelihood has bounds, over its whole life: its measurements are at
+least as likely as clutter, and at least so likely as in the best filter, but for a factor of exp(-MOST).
 
 A transmitter that was surveyed is where it is: in a filter with a wrong clock offset its line of sight begins another
 VT, which explains the path as well from then on. What that VT explains does not count, and the line of sight has a
@@ -29,7 +29,7 @@ BIRTH = 3.0  # log-likelihood that each VT costs: it counts for more than clutte
 
 @dataclass
 class Influence:
-    """The evidence of paths for the K filters of a mixture: log-ratios `log_ratio` (K, v) of the likelihood of each VT's
+    """The evidence of paths for the K filters of a mixture: `log_ratio` (K, v) of the likelihood of each VT's
     measurements to that of clutter, by its identity (v,) and that of the first VT of its path (v,); and all else that
     is in the log-weights: `rest` (K,)."""
 
