@@ -64,15 +64,13 @@ def predict_and_score(
 
 
 @njit(cache=True, nogil=True)
-def step_clocks(
-    f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, work: Workspace, out: Scores
-) -> bool:
+def step_clocks(f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, w: Workspace, out: Scores) -> bool:
     """Shift the clocks that the measurements, associated with the VTs `slot_of` (m,), show to have stepped, and score
     again; return whether there is any."""
-    put(work.pairs.slot_of, slot_of)
-    shifted = shift_clocks(f, b, a, seen, work.jacobian, work.pairs)
+    put(w.pairs.slot_of, slot_of)
+    shifted = shift_clocks(f, b, a, seen, w.jacobian, w.pairs)
     if shifted:
-        _score(f, a, seen, work, out)
+        _score(f, a, seen, w, out)
     return shifted
 
 

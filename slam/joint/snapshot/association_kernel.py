@@ -44,6 +44,7 @@ from cellslam.slam.joint.state.layout import (
     Filter,
     Measured,
 )
+from cellslam.slam.model.arrays_kernel import log_sum
 from cellslam.slam.model.assignment_kernel import assign
 from cellslam.slam.model.matrices_kernel import Sym3, Vec3
 from cellslam.slam.model.measurement_kernel import Rotations
@@ -185,9 +186,7 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Jacobia
                 w.gated[k - start] = 1
                 w.distance2[row, k - start] = min(distance2, w.distance2[row, k - start])
                 value = prior - seen.gap[k] - 0.5 * (distance2 + log_det + i.measured * LOG_2PI)
-                before = w.score[row, k - start]
-                most = max(value, before)
-                w.score[row, k - start] = most + math.log(math.exp(value - most) + math.exp(before - most))
+                w.score[row, k - start] = log_sum(value, w.score[row, k - start])
     return rows
 
 

@@ -32,11 +32,11 @@ from cellslam.slam.joint.snapshot.observation_kernel import (
     errors_of,
     geometry,
     position_of,
+    put_vt,
     range_factor,
     roof_first,
     rotations_of,
 )
-from cellslam.slam.joint.snapshot.observation_kernel import put as put_state
 from cellslam.slam.joint.snapshot.sizes_kernel import count_weight
 from cellslam.slam.joint.snapshot.tentative_kernel import FIRST_SCORE, is_hypothesis
 from cellslam.slam.joint.snapshot.update_kernel import Pending, covariance, gains, merge_probability, times
@@ -222,34 +222,30 @@ def scatterer_of(f: Filter, b: Block, j: int, s: Jacobian, w: Pending) -> None:
     """Begin a scatterer as a second hypothesis of what VT j is, if the illuminator of its link can illuminate one and
     the arrays can hold it: on the ray from the anchor to VT j, and over it the path is as long as VT j is far.
 
-    With e from the illuminator to the scatterer, unit vectors, and r, l the states of VT j and of the illuminator,
+    With the ray u and e from the illuminator l to the scatterer, unit vectors, and r how far VT j is,
 
-        dd (1 + u e) = dr - d (du e) + e dl
+        dd (1 + u e) = dr - d (du e) + e dl,    du by the direction of VT j, dl by the states of the illuminator
     """
     first, new, illuminator = f.size[0], f.count[0], f.illuminators[f.vts.slots[j, LINK]]
     if illuminator < 0 or illuminator == j or new == len(f.vts.slots) or first + 3 > len(f.x):
         return
-    vt, anchor, at = coordinates(f, j), Vec3(f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2]), f.vts.state[j]
-    u, to_illuminator = direction(vt.azimuth, vt.elevation), vec_minus(position_of(f, illuminator), anchor)
-    if vt.distance < math.sqrt(dot(to_illuminator, to_illuminator)) + LEAST_EXCESS_M:
+    vt, anchor = coordinates(f, j), Vec3(f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2])
+    r, u, its = vt.distance, direction(vt.azimuth, vt.elevation), coordinates(f, illuminator)
+    l_ = vec_minus(position_of(f, illuminator), anchor)
+    if r < math.sqrt(dot(l_, l_)) + LEAST_EXCESS_M:
         return
-    far = (vt.distance**2 - dot(to_illuminator, to_illuminator)) / (2.0 * (vt.distance - dot(u, to_illuminator)))
-    e = vec_scaled(vec_minus(vec_scaled(u, far), to_illuminator), 1.0 / max(vt.distance - far, LEAST_EXCESS_M))
+    d = (r * r - dot(l_, l_)) / (2.0 * (r - dot(u, l_)))
+    e = vec_scaled(vec_minus(vec_scaled(u, d), l_), 1.0 / max(r - d, LEAST_EXCESS_M))
     opening = 1.0 + dot(u, e)
-    if far < NEAREST_M or opening < LEAST_OPENING:
+    if d < NEAREST_M or opening < LEAST_OPENING:
         return
-    turns = transposed_vec(cartesian_jacobian(far, vt.azimuth, vt.elevation), e)
-    its, at_illuminator = coordinates(f, illuminator), f.vts.state[illuminator]
-    by = transposed_vec(cartesian_jacobian(its.distance, its.azimuth, its.elevation), e)
     f.vts.state[new], s.size[0] = -1, 0
     enter_vt(f, new)
-    f.x[first], f.x[first + 1], f.x[first + 2] = far, vt.azimuth, vt.elevation
-    put_state(s, at[VT], 1.0 / opening, 0.0, 0.0)
-    put_state(s, at[VT + 1], -turns.y / opening, 1.0, 0.0)
-    put_state(s, at[VT + 2], -turns.z / opening, 0.0, 1.0)
-    put_state(s, at_illuminator[VT], by.x / opening, 0.0, 0.0)
-    put_state(s, at_illuminator[VT + 1], by.y / opening, 0.0, 0.0)
-    put_state(s, at_illuminator[VT + 2], by.z / opening, 0.0, 0.0)
+    f.x[first], f.x[first + 1], f.x[first + 2] = d, vt.azimuth, vt.elevation
+    du = vec_scaled(transposed_vec(cartesian_jacobian(d, vt.azimuth, vt.elevation), e), 1.0 / opening)
+    dl = vec_scaled(transposed_vec(cartesian_jacobian(its.distance, its.azimuth, its.elevation), e), 1.0 / opening)
+    put_vt(s, f.vts.state[j], Mat3(1.0 / opening, -du.y, -du.z, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
+    put_vt(s, f.vts.state[illuminator], Mat3(dl.x, dl.y, dl.z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     correlate(f, first, IDENTITY, Vec3(0.0, 0.0, 0.0), s, w)
     f.vts.anchor[j, WEIGHT], f.vts.slots[j, ILLUMINATOR] = 0.5, illuminator
     put(f.vts.anchor[new], f.vts.anchor[j])
@@ -261,9 +257,7 @@ def scatterer_of(f: Filter, b: Block, j: int, s: Jacobian, w: Pending) -> None:
 
 
 @lean
-def choose_illuminator(
-    f: Filter, b: Block, seen: Measured, link: int, slot_of: Ints, s: Jacobian, w: Pending
-) -> None:  # fmt: skip
+def choose_illuminator(f: Filter, b: Block, seen: Measured, link: int, slot_of: Ints, s: Jacobian, w: Pending) -> None:
     """Take a confirmed mirror image for the transmitter of a link if it is measured, as VT slot_of (m,), surely nearer
     than what was taken for it. That one was an image, then, and scatterers stand elsewhere than it illuminated them."""
     old, offset = f.illuminators[link], f.core.first_offset + seen.site_of[link]
@@ -278,9 +272,8 @@ def choose_illuminator(
         j = slot_of[k]
         if j < 0 or j == old or f.vts.slots[j, SCATTERER] == 1 or f.vts.anchor[j, SCORE] <= 0.0:
             continue
-        if f.vts.anchor[j, WEIGHT] == 1.0 and seen.z[k, 0] < far - NEARER * math.sqrt(
-            variance + seen.noise.single[k, 0]
-        ):
+        least = NEARER * math.sqrt(variance + seen.noise.single[k, 0])
+        if f.vts.anchor[j, WEIGHT] == 1.0 and seen.z[k, 0] < far - least:
             far, nearer, variance = seen.z[k, 0], j, 0.0
     if nearer < 0:
         return
@@ -338,11 +331,8 @@ def remove(f: Filter, b: Block, j: int) -> None:
             f.vts.state[j, c], f.vts.state[last, c] = index, -1
             if index >= 0:
                 f.owner[index] = owner_of(j, c, f.vts.state.shape[1])
-        b.sums.detections[j], b.sums.diffuse[j], b.sums.odds[j] = (
-            b.sums.detections[last],
-            b.sums.diffuse[last],
-            b.sums.odds[last],
-        )
+        b.sums.detections[j], b.sums.diffuse[j] = b.sums.detections[last], b.sums.diffuse[last]
+        b.sums.odds[j] = b.sums.odds[last]
         put(b.sums.seen[j], b.sums.seen[last])
         put(b.sums.e[j], b.sums.e[last])
         put(b.sums.q[j], b.sums.q[last])
@@ -356,21 +346,14 @@ def keep(f: Filter, j: int, out: Floats) -> None:
     (15,)."""
     vt, at = coordinates(f, j), f.vts.state[j]
     x, y, z = at[VT], at[VT + 1], at[VT + 2]
-    to_vt = vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)
-    spread = congruence(
-        cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation),
-        Sym3(
-            covariance_of(f, x, x),
-            covariance_of(f, x, y),
-            covariance_of(f, x, z),
-            covariance_of(f, y, y),
-            covariance_of(f, y, z),
-            covariance_of(f, z, z),
-        ),
-    )
-    out[0], out[1] = f.vts.slots[j, IDENT], f.vts.slots[j, LINK]
-    out[POSITION], out[POSITION + 1] = f.vts.anchor[j, 0] + to_vt.x, f.vts.anchor[j, 1] + to_vt.y
-    out[POSITION + 2] = f.vts.anchor[j, 2] + to_vt.z
+    own = Sym3(
+        covariance_of(f, x, x), covariance_of(f, x, y), covariance_of(f, x, z),
+        covariance_of(f, y, y), covariance_of(f, y, z), covariance_of(f, z, z),
+    )  # fmt: skip
+    spread = congruence(cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation), own)
+    position = position_of(f, j)
+    out[0], out[1], out[POSITION] = f.vts.slots[j, IDENT], f.vts.slots[j, LINK], position.x
+    out[POSITION + 1], out[POSITION + 2] = position.y, position.z
     put_sym(out[SPREAD:KIND].reshape(3, 3), spread)
     out[KIND] = float(f.vts.slots[j, SCATTERER])
 
@@ -395,7 +378,7 @@ def map_of(mixture: Filter, k: int, hits: int) -> Floats:
 def _bequeath_log_ratio(f: Filter, j: int) -> None:
     """Let a hypothesis of the same VT that is left, if any, have the log-ratio of VT j."""
     for i in range(f.count[0]):
-        same = f.vts.slots[i, IDENT] == f.vts.slots[j, IDENT] and f.vts.slots[i, LINK] == f.vts.slots[j, LINK]
+        same = is_hypothesis(f, i, f.vts.slots[j, LINK], f.vts.slots[j, IDENT])
         if i != j and same and f.vts.anchor[i, WEIGHT] > 0.0:
             f.vts.anchor[i, LOG_RATIO] += f.vts.anchor[j, LOG_RATIO]
             return
@@ -471,7 +454,8 @@ def begin(
     whole = ranged and not math.isnan(z[1])
     hypotheses = 1 if whole else (AROUND if ranged else AHEAD)
     mean, wide = z.copy(), q.copy()
-    if hypotheses > 1 and not _can_hold(f, hypotheses):
+    fits = f.count[0] + hypotheses <= len(f.vts.slots) and f.size[0] + 3 * hypotheses <= len(f.x)
+    if hypotheses > 1 and not fits:  # they do not displace others
         return
     for n in range(hypotheses):
         if not ranged:
@@ -486,9 +470,3 @@ def begin(
         if f.illuminators[link] < 0:
             f.illuminators[link] = f.count[0] - 1
         scatterer_of(f, b, f.count[0] - 1, s, w)
-
-
-@lean
-def _can_hold(f: Filter, hypotheses: int) -> bool:
-    """Return whether so many VTs can be added without that others are displaced."""
-    return bool(f.count[0] + hypotheses <= len(f.vts.slots) and f.size[0] + 3 * hypotheses <= len(f.x))

@@ -108,6 +108,14 @@ def put_three(s: Jacobian, index: int, m: Mat3) -> None:
 
 
 @lean
+def put_vt(s: Jacobian, at: Ints, m: Mat3) -> None:
+    """Add the columns by the coordinates of a VT whose states are `at` (6,)."""
+    put(s, at[VT], m.xx, m.yx, m.zx)
+    put(s, at[VT + 1], m.xy, m.yy, m.zy)
+    put(s, at[VT + 2], m.xz, m.yz, m.zz)
+
+
+@lean
 def coordinates(f: Filter, j: int) -> Spherical:
     """Return range (m), azimuth and elevation (rad) of VT j about its anchor."""
     at = f.vts.state[j]
@@ -144,9 +152,7 @@ def put_illuminator(f: Filter, illuminator: int, position: Vec3, around: Mat3, f
     s.by[0, first + 2] += own.z
     vt = coordinates(f, illuminator)
     by = transposed_vec(cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation), by_place)
-    put(s, at[VT], -by.x, 0.0, 0.0)
-    put(s, at[VT + 1], -by.y, 0.0, 0.0)
-    put(s, at[VT + 2], -by.z, 0.0, 0.0)
+    put_vt(s, at, Mat3(-by.x, -by.y, -by.z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     return excess
 
 
@@ -180,10 +186,7 @@ def geometry(
     if f.core.range_scale >= 0:
         put(s, f.core.range_scale, seen.distance, 0.0, 0.0)
     around = cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation)
-    by_vt = mat_mat(by_place, around)
-    put(s, at[VT], by_vt.xx, by_vt.yx, by_vt.zx)
-    put(s, at[VT + 1], by_vt.xy, by_vt.yy, by_vt.zy)
-    put(s, at[VT + 2], by_vt.xz, by_vt.yz, by_vt.zz)
+    put_vt(s, at, mat_mat(by_place, around))
     if f.vts.slots[j, SCATTERER] == 0:
         return Spherical(factor * seen.distance, seen.azimuth, seen.elevation)
     excess = put_illuminator(f, f.vts.slots[j, ILLUMINATOR], point, around, factor, s)

@@ -130,9 +130,8 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
         if j >= 0:
             kind, age = 0 if f.vts.slots[j, HITS] < 2 else 1, min(seen.now - f.vts.slots[j, LAST], horizon)
             odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - rules.log_clutter - seen.gap[k]
-            if (f.vts.slots[j, UNSEEN] == 1 or seen.now - f.vts.slots[j, LAST] > rules.away) and b.sums.detections[
-                j
-            ] == 0:
+            returns = f.vts.slots[j, UNSEEN] == 1 or seen.now - f.vts.slots[j, LAST] > rules.away
+            if returns and b.sums.detections[j] == 0:
                 any_vt = known_density(seen.z[k], seen.noise.many[k])
                 f.vts.anchor[j, LOG_RATIO] += odds - any_vt
                 odds = any_vt
@@ -232,10 +231,8 @@ def shares(b: Block, a: ArrayErrors, j: int) -> tuple[float, float]:
     n, by_distance, by_time = b.sums.detections[j], 0.0, 0.0
     for i in range(n):
         for k in range(n):
-            distance, time = (
-                b.track.at[b.sums.seen[j, i], 0] - b.track.at[b.sums.seen[j, k], 0],
-                b.track.at[b.sums.seen[j, i], 1] - b.track.at[b.sums.seen[j, k], 1],
-            )
+            one, other = b.track.at[b.sums.seen[j, i]], b.track.at[b.sums.seen[j, k]]
+            distance, time = one[0] - other[0], one[1] - other[1]
             by_distance += math.exp(-0.5 * (distance / a.diffuse_m) ** 2) if a.diffuse_m > 0.0 else 0.0
             by_time += math.exp(-0.5 * (time / a.sway_s) ** 2) if a.sway_s > 0.0 else 0.0
     return math.sqrt(by_distance / (n * n) * b.sums.diffuse[j] / n), math.sqrt(by_time / (n * n))

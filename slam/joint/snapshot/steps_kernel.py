@@ -129,14 +129,12 @@ def _explained(f: Filter, seen: Measured, site: int, w: Pairs) -> tuple[int, int
 
 
 @lean
-def _log_ratio(
-    f: Filter, a: ArrayErrors, seen: Measured, site: int, shift: float, s: Jacobian, w: Pairs
-) -> tuple[float, int]:
+def _ratio(f: Filter, a: ArrayErrors, seen: Measured, site: int, by: float, s: Jacobian, w: Pairs) -> tuple[float, int]:
     """Return the log-likelihood ratio to clutter of a site's measurements that are of confirmed VTs, if its clock is
-    shifted by so many m, and how many there are."""
+    shifted `by` so many m, and how many there are."""
     offset, score, paired = f.core.first_offset + site, 0.0, 0
     before = f.x[offset]
-    f.x[offset] += shift
+    f.x[offset] += by
     for link in range(len(seen.first) - 1):
         if seen.site_of[link] == site and f.links[link] == 1 and seen.first[link + 1] > seen.first[link]:
             associate(f, a, seen, link, s, w)
@@ -153,7 +151,7 @@ def _log_ratio(
 def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Jacobian, w: Pairs) -> Shift:
     """Return the shift of a site's distances that most measurements agree on; a measurement alone must be of a VT seen
     lately."""
-    score, paired = _log_ratio(f, a, seen, site, 0.0, s, w)
+    score, paired = _ratio(f, a, seen, site, 0.0, s, w)
     turned, rules, best = rotations_of(f), seen.rules, Shift(0.0, 1.0, 0.0, 0)
     gate = rules.association.gate
     for j in range(f.count[0]):
@@ -166,7 +164,7 @@ def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Jacob
             apart = i.e.y * i.e.y / i.s.yy + i.e.z * i.e.z / i.s.zz
             if math.isnan(seen.z[k, 0]) or apart > gate or i.e.x * i.e.x <= gate * i.s.xx:
                 continue
-            there, agree = _log_ratio(f, a, seen, site, i.e.x, s, w)
+            there, agree = _ratio(f, a, seen, site, i.e.x, s, w)
             recent = seen.now - f.vts.slots[j, LAST] <= RECENT
             if there - score > best.gain and (recent or agree - paired >= AGREE):
                 best = Shift(i.e.x, i.s.xx, there - score, agree - paired)

@@ -58,7 +58,7 @@ from cellslam.slam.joint.state.layout import (
     Filter,
     Rules,
 )
-from cellslam.slam.model.arrays_kernel import put
+from cellslam.slam.model.arrays_kernel import log_sum, put
 from cellslam.slam.model.matrices_kernel import Vec3, cholesky, solved, sym_plus
 
 LEAST_WEIGHT = 1e-5  # of a hypothesis: one with less is given up
@@ -110,7 +110,7 @@ def _weigh(
     """Multiply the weights of a VT's hypotheses, of which j is one, by the likelihoods of a measurement; they sum to
     one. Return the logarithms of its density, and of that with inflated errors."""
     weight, link, ident = f.vts.anchor[:, WEIGHT], f.vts.slots[j, LINK], f.vts.slots[j, IDENT]
-    best, inflated, several, total = -math.inf, -math.inf, weight[j] < 1.0, 0.0
+    fit, inflated, several = -math.inf, -math.inf, weight[j] < 1.0
     for i in range(f.count[0]):
         if is_hypothesis(f, i, link, ident) and weight[i] > 0.0:
             e, hph = compare(f, a, i, offset, measurement, s, w)
@@ -118,25 +118,15 @@ def _weigh(
             distance2, log_det = log_likelihood(new)
             log_weight, log_root = math.log(weight[i]), 0.5 * (log_det + new.measured * LOG_2PI)
             weight[i] = log_weight + max(-0.5 * distance2 - log_root, -1e6)
-            best = max(best, weight[i])
-            wide = log_weight - 0.5 * distance2 / INFLATION**2 - log_root - new.measured * math.log(INFLATION)
-            inflated = max(inflated, wide) + math.log1p(math.exp(-abs(inflated - wide)))
+            fit = log_sum(fit, weight[i])
+            wide = -0.5 * distance2 / INFLATION**2 - log_root - new.measured * math.log(INFLATION)
+            inflated = log_sum(inflated, log_weight + wide)
         elif is_hypothesis(f, i, link, ident):
             weight[i] = -math.inf
     for i in range(f.count[0]):
         if is_hypothesis(f, i, link, ident):
-            weight[i] = math.exp(weight[i] - best)
-            total += weight[i]
-    _divide(f, link, ident, total)
-    return best + math.log(total), inflated
-
-
-@lean
-def _divide(f: Filter, link: int, ident: int, total: float) -> None:
-    """Divide the weights of a VT's hypotheses by their sum."""
-    for i in range(f.count[0]):
-        if is_hypothesis(f, i, link, ident):
-            f.vts.anchor[i, WEIGHT] /= total
+            weight[i] = math.exp(weight[i] - fit)
+    return fit, inflated
 
 
 @lean
@@ -160,7 +150,9 @@ def _prune(f: Filter, link: int, ident: int, least: float) -> int:
         if is_hypothesis(f, i, link, ident) and weight[i] > 0.0:
             left += 1
             total += weight[i]
-    _divide(f, link, ident, total)
+    for i in range(f.count[0]):
+        if is_hypothesis(f, i, link, ident):
+            weight[i] /= total
     return left
 
 
