@@ -99,7 +99,7 @@ class BoundResult(Described):
 class Joint:
     """What is known of the n states that are there: covariance `P` (n, n), error `m` (n,) of the mean, and the numbers
     `states` (n,) of these states. P and m are those of the states divided by their `scale` (n,), which is 1 for states
-    that do not fade. """
+    that do not fade."""
 
     P: Floats
     m: Floats

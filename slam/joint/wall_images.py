@@ -73,7 +73,7 @@ class Image(NamedTuple):
     points: Floats
 
 
-def place_of(f: Filter, slots: Ints) -> tuple[Floats, Floats]:
+def position_of(f: Filter, slots: Ints) -> tuple[Floats, Floats]:
     """Return where VTs are, seen from above, (n, 2) in m, and its Jacobians (n, 2, 3) by range, azimuth, elevation."""
     away, azimuth, elevation = f.x[f.vts.state[slots, VT : VT + 3]].T[:, :, None]
     across, along = normals(azimuth[:, 0])
@@ -86,7 +86,7 @@ def ends_of(f: Filter, images: Sequence[Image]) -> tuple[Floats, Floats, Ints]:
     """Return site and VT of each image, seen from above, (n, 2, 2) in m, their Jacobians (n, 2, 2, 3), and the states
     (n, 6) that these are by."""
     slots = np.array([(image.site, image.vt) for image in images], np.int64).reshape(-1, 2)
-    place, by = place_of(f, slots.ravel())
+    place, by = position_of(f, slots.ravel())
     return place.reshape(-1, 2, 2), by.reshape(-1, 2, 2, 3), f.vts.state[slots, VT : VT + 3].reshape(-1, 6)
 
 
@@ -98,7 +98,7 @@ def images_of(f: Filter, seen: Places, hits: int) -> list[Image]:
     found = list[Image]()
     for link in np.unique(f.vts.slots[slots, LINK]):
         mine = slots[f.vts.slots[slots, LINK] == link]
-        position = place_of(f, mine)[0]
+        position = position_of(f, mine)[0]
         places = [seen.get(ident, np.empty((0, 2))) for ident in f.vts.slots[mine, IDENT].tolist()]
         known = np.flatnonzero(f.vts.slots[mine, SURVEYED] == 1)
         site = int(known[0]) if len(known) else _site(position, places, f.vts.slots[mine, HITS])
@@ -273,7 +273,7 @@ def impose_double(f: Filter, double: Double, seen: Places, flat: Flatness) -> No
 def off(f: Filter, double: Double) -> Gap:
     """Return by what the image's image is off its VT, in m."""
     slots = np.array([double.vt.site, double.second.vt, double.first.vt, double.vt.vt])
-    (site, second, first, vt), by = place_of(f, slots)
+    (site, second, first, vt), by = position_of(f, slots)
     image, by_ends = image_in_wall(site, second, first)
     by_places = np.concatenate([by_ends, -np.eye(2)], axis=1).reshape(2, 4, 2)
     by_states = np.einsum("apc,pci->api", by_places, by).reshape(2, 12)
@@ -282,7 +282,7 @@ def off(f: Filter, double: Double) -> Gap:
 
 def _near(f: Filter, site: int, images: Sequence[Image]) -> list[Double]:
     """Return the triples of a site's images of which one is near the image of another in the wall of the third."""
-    places = place_of(f, np.array([*(image.vt for image in images), site]))[0]
+    places = position_of(f, np.array([*(image.vt for image in images), site]))[0]
     p, v = places[-1], places[:-1]
     across = (v - p) / np.linalg.norm(v - p, axis=1, keepdims=True)
     behind = ((v - 0.5 * (p + v[:, None])) * across[:, None]).sum(axis=-1)  # second, first
@@ -296,7 +296,7 @@ def _near(f: Filter, site: int, images: Sequence[Image]) -> list[Double]:
 def _spread(f: Filter, double: Double, places: Floats, flat: Flatness) -> Floats:
     """Return the covariance (2, 2) in m^2 of what parts of two walls may be turned and set off: an image moves by twice
     of that."""
-    offset = place_of(f, np.array([double.vt.vt]))[0][0] - places.mean(axis=0)
+    offset = position_of(f, np.array([double.vt.vt]))[0][0] - places.mean(axis=0)
     across = quarter_turned(offset)
     return np.asarray(8.0 * (flat.off**2 * np.eye(2) + flat.turned**2 * np.outer(across, across)))
 
@@ -304,7 +304,7 @@ def _spread(f: Filter, double: Double, places: Floats, flat: Flatness) -> Floats
 def _meets_both(f: Filter, double: Double, places: Floats, gap: float) -> bool:
     """Return whether paths from the VT meet both walls within their visible parts, and are longer than those over the
     first wall alone, from most of the places from which it was seen."""
-    site, first, vt = place_of(f, np.array([double.vt.site, double.first.vt, double.vt.vt]))[0]
+    site, first, vt = position_of(f, np.array([double.vt.site, double.first.vt, double.vt.vt]))[0]
     later = reflection_point(first, vt, places)
     earlier = reflection_point(site, first, later)
     meets = np.linalg.norm(places - vt, axis=1) > np.linalg.norm(places - first, axis=1)

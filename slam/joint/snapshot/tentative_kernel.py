@@ -91,7 +91,7 @@ def update_hypotheses(
         settle(f, w)  # the rows of a filter with particles are needed until these are updated, too
     fit, inflated = _weigh(f, a, j, offset, measurement, s, w)
     left = _prune(f, link, ident, LEAST_WEIGHT_OF_KIND if rules.scatterers else LEAST_WEIGHT)
-    confirmed = _is_confirmed(f, link, ident, min(fit + against, fit - inflated)) if rules.scatterers else left == 1
+    confirmed = _score_track(f, link, ident, min(fit + against, fit - inflated)) if rules.scatterers else left == 1
     for i in range(f.count[0]):
         if is_hypothesis(f, i, link, ident) and weight[i] > 0.0:
             slots[i, LAST], slots[i, HITS] = slots[j, LAST], slots[j, HITS]
@@ -170,7 +170,7 @@ def _close(f: Filter, i: int, j: int) -> bool:
 
 
 @lean
-def _is_confirmed(f: Filter, link: int, ident: int, gain: float) -> bool:
+def _score_track(f: Filter, link: int, ident: int, gain: float) -> bool:
     """Add to the track score of a VT; return whether it is confirmed. The hypotheses of one that is deleted have the
     weight 0."""
     score, confirmed = f.vts.anchor[:, SCORE], False

@@ -108,6 +108,6 @@ def test_a_large_step_is_found_where_nothing_associates(one_filter, step_m, meas
     z = np.array([one.model(j)[0] + [step_m, 0.0, 0.0] for j in range(measurements)])
     seen, room = one.seen(z, np.tile(Q, (measurements, 1))), one.w
     room.pairs.slot_of[:], one.f.vts.slots[:, LAST] = -1 if step_m else 0, last
-    found = [shift_clocks(one.f, one.block, one.errors, seen, room.sight, room.pairs) for _ in range(snapshots or 6)]
+    found = [shift_clocks(one.f, one.block, one.errors, seen, room.jacobian, room.pairs) for _ in range(snapshots or 6)]
     assert found == [False] * (len(found) - 1) + [snapshots is not None]
     assert one.f.x[one.offset] == pytest.approx(5.0 + (step_m if snapshots else 0.0), abs=1e-9)
