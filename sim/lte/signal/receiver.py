@@ -107,7 +107,9 @@ class Receiver:
         known, asked = (np.exp(-1j * np.outer(self.rate, self.pitch_m * at)) for at in (places, between))
         shares = np.linalg.lstsq(known, asked, rcond=1e-6)[0].real
         powers = np.linalg.lstsq(np.vander(way, DEGREE + 1, increasing=True), shares.T, rcond=None)[0]
-        return DelayGrid(self.delays_m, np.sqrt(len(self.rate)) * powers, self.demands.coarser)
+        steps = np.arange(1.0 - len(self.delays_m), len(self.delays_m))
+        alike = np.exp(1j * self.pitch_m * np.outer(steps, self.rate)).mean(axis=1).astype(np.complex64)
+        return DelayGrid(self.delays_m, np.sqrt(len(self.rate)) * powers, alike, self.demands.coarser)
 
     @cached_property
     def delay_matrix(self) -> ComplexSingle:
@@ -215,7 +217,7 @@ class Motion:
     def probe(self) -> Probe:
         """What the compiled search looks at samples with."""
         r = self.receiver
-        return Probe(self.beams, r.delay_matrix, r.grid, *r.directions)
+        return Probe(self.beams, r.grid, *r.directions)
 
     @cached_property
     def model(self) -> SteeringModel:

@@ -14,7 +14,7 @@ from cellslam.sim.compiling import njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.signal.path_estimator import fit_kernel, search_kernel, thresholds
 from cellslam.sim.lte.signal.path_estimator.fit_kernel import Normal
-from cellslam.sim.lte.signal.path_estimator.search_kernel import Footprint, Outputs, PowerSpectrum, Probe
+from cellslam.sim.lte.signal.path_estimator.search_kernel import Footprint, PowerSpectrum, Probe
 from cellslam.sim.lte.statistical.detector_layout import DIFFUSE_SHARE, GHOST_REACH_M, Array
 from cellslam.sim.lte.steering_kernel import SteeringModel
 
@@ -44,7 +44,7 @@ class Trials(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def add_paths(
-    residual: Array, outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum, probe: Probe, trials: Trials,
+    residual: Array, on_beams: Array, taken: Footprint, spectrum: PowerSpectrum, probe: Probe, trials: Trials,
     demands: Demands, model: SteeringModel, found: Array,
 ) -> tuple[int, Trials]:  # fmt: skip
     """Write up to len(`found`) (n, 3) more paths that one-path fits confirm, the strongest first, and take them out of
@@ -53,7 +53,7 @@ def add_paths(
     """
     (cells, tried, failures), added, start = trials, 0, np.empty((1, 3))
     coarse, at = thresholds.COARSE_SHARE * demands.threshold, 0
-    search_kernel.write_all_energies(outputs, taken, spectrum)
+    search_kernel.write_all_energies(on_beams, taken, spectrum)
     promising, levels = search_kernel.standing_out(spectrum, coarse)
     while added < len(found) and failures < thresholds.MOST_FAILURES:
         while at < len(promising) and search_kernel.is_beside(promising[at], cells[:tried], spectrum):
@@ -71,18 +71,18 @@ def add_paths(
         near = abs(geometry[0, 0] - start[0, 0]) <= thresholds.FARTHEST_M * demands.coarser
         if not near or abs(geometry[0, 2] - start[0, 2]) > thresholds.FARTHEST_RAD or normal.explained < asked:
             continue
-        one = search_kernel.footprint_of(*fit_kernel.factors(geometry, normal.weights, model), probe)
-        if _taken_out(geometry, normal, one, k, d, residual, outputs, taken, spectrum, probe, demands):
+        one = search_kernel.footprint_of(geometry, normal.weights, probe, model)
+        if _taken_out(geometry, normal, one, k, d, residual, on_beams, taken, spectrum, probe, demands):
             found[added], taken = geometry[0], search_kernel.both(taken, one)
             added, failures = added + 1, failures - 1
-            search_kernel.write_all_energies(outputs, taken, spectrum)
+            search_kernel.write_all_energies(on_beams, taken, spectrum)
             (promising, levels), at = search_kernel.standing_out(spectrum, coarse), 0
     return added, Trials(cells, tried, failures)
 
 
 @part
 def _taken_out(
-    geometry: Array, normal: Normal, one: Footprint, k: int, d: int, residual: Array, outputs: Outputs,
+    geometry: Array, normal: Normal, one: Footprint, k: int, d: int, residual: Array, on_beams: Array,
     taken: Footprint, spectrum: PowerSpectrum, probe: Probe, demands: Demands,
 ) -> bool:  # fmt: skip
     """Take `one` path at `geometry` (1, 3), found in direction k and bin d, out of the samples `residual` (ports,
@@ -90,26 +90,22 @@ def _taken_out(
     """
     diffuse = normal.explained < spectrum.trailing[k // spectrum.elevations, d]
     at, bin_at = search_kernel.cell_of(geometry[0], probe, spectrum)
-    near, rest = search_kernel.neighbours(at, spectrum), search_kernel.both(taken, one)
-    port_energy, noise = spectrum.port_energy.copy(), spectrum.noise.copy()
-    search_kernel.write_noise(outputs, rest, spectrum)
-    search_kernel.write_energies(outputs, rest, near, spectrum)
+    port_energy, noise, left = spectrum.port_energy.copy(), spectrum.noise.copy(), np.empty_like(residual)
+    search_kernel.write_residual(residual, one, spectrum, left)
+    search_kernel.write_energies_around(at, bin_at, on_beams, search_kernel.both(taken, one), spectrum)
     _, asked = search_kernel.local_level(at, bin_at, 0.0, spectrum, diffuse)
     if normal.explained < demands.threshold * asked:
         spectrum.port_energy[:], spectrum.noise[:] = port_energy, noise
-        search_kernel.write_energies(outputs, taken, near, spectrum)
+        search_kernel.write_energies_around(at, bin_at, on_beams, taken, spectrum)
         return False
     search_kernel.note_trail(geometry, normal.wald, probe, spectrum)
-    samples = residual.view(residual.real.dtype)
-    straight, turned = fit_kernel.in_pairs(one.on_delays, samples)
-    for m in range(len(samples)):
-        fit_kernel.subtract_products(samples[m], one.on_ports[:, m], straight, turned, samples[m])
+    residual[:] = left
     return True
 
 
 @njit(cache=True, nogil=True)
 def judged(
-    geometry: Array, normal: Normal, outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum, probe: Probe,
+    geometry: Array, normal: Normal, on_beams: Array, taken: Footprint, spectrum: PowerSpectrum, probe: Probe,
     demands: Demands,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Return the disturbance per sample (n,) around each path of a fit, whose paths are those taken out; the paths'
@@ -129,7 +125,7 @@ def judged(
             suspect |= abs(behind) < GHOST_REACH_M and share < thresholds.SUSPECT_SHARE
             bad[i] |= abs(behind) < GHOST_REACH_M and share < demands.ghost_share
         k, d = search_kernel.cell_of(geometry[i], probe, spectrum)
-        search_kernel.write_energies(outputs, taken, search_kernel.neighbours(k, spectrum), spectrum)
+        search_kernel.write_energies_around(k, d, on_beams, taken, spectrum)
         level[i], asked = search_kernel.local_level(k, d, 0.0, spectrum, diffuse)
         statistic[i] = energy[i] / asked
         bad[i] |= statistic[i] < demands.threshold * (thresholds.SUSPECT_MARGIN if suspect else 1.0)

@@ -43,14 +43,19 @@ class Normal(NamedTuple):
     gradient: Array
 
 
+NO_NORMAL = Normal(0.0, np.empty((0, 2), np.complex128), np.empty(0), np.empty((0, 0)), np.empty(0))  # no path
+
+
 class DelayGrid(NamedTuple):
     """Distances (D,) in m, in even steps, with whose tones the samples of each port are correlated. `shares` (DEGREE +
-    1, STENCIL): for the correlation between the two in the middle of a stencil, by powers of the way, -1 to 1.
+    1, STENCIL): for the correlation between the two in the middle of a stencil, by powers of the way, -1 to 1. `alike`
+    (2 D - 1,): what a unit vector of tones has of that which is so many steps farther, from -D + 1 steps on.
     `coarser`: resolution in distance over that of 100 resource blocks of LTE.
     """
 
     distances: Array
     shares: Array
+    alike: Array
     coarser: float
 
 
@@ -105,6 +110,18 @@ def correlate(samples: Array, distance: float, grid: DelayGrid, out: Array) -> N
         out[0, m], out[1, m] = complex(real, imaginary), complex(slope_real, slope_imaginary)
 
 
+@part
+def write_on_delays(distance: float, grid: DelayGrid, out: Array) -> None:
+    """Write (D,): the tones of a distance in m, of size 1 each, correlated with those of the grid."""
+    value, slope = np.empty(STENCIL), np.empty(STENCIL)
+    start = len(out) - 1 - _write_shares(distance, grid, value, slope)
+    out[:] = 0.0
+    for j in range(STENCIL):
+        share, alike = np.float32(value[j]), grid.alike[start - j : start - j + len(out)]
+        for d in range(len(out)):
+            out[d] += share * alike[d]
+
+
 @lean(fastmath=ANY_ORDER)
 def _inner(left: Array, right: Array) -> complex:
     """Return left^H right of vectors (n,)."""
@@ -126,15 +143,15 @@ def _write_tones(distance: float, rate: Array, out: Array) -> None:
         out[1, f] = complex(-rate[f] * sine[f], -rate[f] * cosine[f])
 
 
-@njit(cache=True, nogil=True)
-def factors(geometry: Array, weights: Array, m: SteeringModel) -> tuple[Array, Array]:
-    """Return what paths at `geometry` (n, 3) with weights (n, 2) give the ports (n, ports) and the tones (n, tones)."""
+@part
+def on_ports_of(geometry: Array, weights: Array, m: SteeringModel) -> Array:
+    """Return what paths at `geometry` (n, 3) with weights (n, 2) give the ports (n, ports), in single precision."""
     value, _, _ = steer(geometry[:, 1].copy(), geometry[:, 2].copy(), m)
-    on_ports, tones = np.empty(value.shape[:2], np.complex128), np.empty((len(geometry), 2, len(m.rate)), np.complex128)
+    out = np.empty(value.shape[:2], np.complex64)
     for p in range(len(geometry)):
-        on_ports[p] = value[p, :, 0] * weights[p, 0] + value[p, :, 1] * weights[p, 1]
-        _write_tones(geometry[p, 0], m.rate, tones[p])
-    return on_ports, tones[:, 0].copy()
+        for port in range(out.shape[1]):
+            out[p, port] = value[p, port, 0] * weights[p, 0] + value[p, port, 1] * weights[p, 1]
+    return out
 
 
 @part

@@ -34,7 +34,7 @@ from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.array import CircularArray, Complex, ComplexSingle, Floats
 from cellslam.sim.lte.signal.path_estimator import thresholds
 from cellslam.sim.lte.signal.path_estimator.acquire_kernel import Trials, add_paths, judged
-from cellslam.sim.lte.signal.path_estimator.fit_kernel import Normal, climb
+from cellslam.sim.lte.signal.path_estimator.fit_kernel import NO_NORMAL, Normal, climb
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import Motion, Receiver
 
@@ -65,8 +65,7 @@ class Fit(NamedTuple):
     covariance: Floats
 
 
-_NO_NORMAL = Normal(0.0, np.empty((0, 2), np.complex128), np.empty(0), np.empty((0, 0)), np.empty(0))
-_NO_FIT = Fit(np.empty((0, 3)), _NO_NORMAL, np.empty(0), np.empty((0, 3, 3)))
+_NO_FIT = Fit(np.empty((0, 3)), NO_NORMAL, np.empty(0), np.empty((0, 3, 3)))
 
 
 def estimate_paths(y: Complex | ComplexSingle, motion: Motion, start: Floats | None = None) -> Estimates:
@@ -139,7 +138,6 @@ class _Link:
         self.motion, self.receiver = motion, motion.receiver
         self.fit, self.fine = _NO_FIT, False
         self.spectrum = Spectrum(samples, motion)
-        self.residual = self.spectrum.residual
 
     def search(self) -> None:
         """Add paths, the strongest first, until nothing more stands out."""
@@ -147,7 +145,7 @@ class _Link:
         while True:
             found = np.empty((min(thresholds.JOINT_EVERY, thresholds.MOST_PATHS - len(self.fit.geometry)), 3))
             added, trials = add_paths(
-                self.residual, *self.spectrum.parts, self.motion.probe, trials, self.receiver.demands,
+                self.spectrum.residual, *self.spectrum.parts, self.motion.probe, trials, self.receiver.demands,
                 self.motion.model, found,
             )  # fmt: skip
             if not added:
@@ -177,8 +175,7 @@ class _Link:
             start = geometry[kept]
         else:
             self.fit = _NO_FIT
-            self.spectrum.leave_all()
-        self.residual = self.spectrum.residual
+            self.spectrum.leave(*self.fit[:2])
 
     def _climbed(self, start: Floats, least_gain: float) -> tuple[Floats, Normal]:
         """Return geometry (n, 3) and normal equations of the joint fit that starts at `start` (n, 3)."""
@@ -205,7 +202,7 @@ class _Link:
 
     def saturated(self) -> NDArray[np.bool_]:
         """Return which ports (ports,) hold much that no path explains: a share of their power and far over the rest."""
-        left, power = (np.sum(x.real**2 + x.imag**2, axis=1) for x in (self.residual, self.spectrum.samples))
+        left, power = (np.sum(x.real**2 + x.imag**2, axis=1) for x in (self.spectrum.residual, self.spectrum.samples))
         usual = _median(left[power > 0.0])
         return np.array((left > thresholds.SATURATED_EXCESS * usual) & (left > thresholds.SATURATED_SHARE * power))
 

@@ -12,30 +12,28 @@ import numpy as np
 
 from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.lte.signal.path_estimator import thresholds
-from cellslam.sim.lte.signal.path_estimator.fit_kernel import MARGIN, DelayGrid, in_pairs, subtract_products
+from cellslam.sim.lte.signal.path_estimator.fit_kernel import (
+    MARGIN,
+    DelayGrid,
+    Normal,
+    in_pairs,
+    on_ports_of,
+    subtract_products,
+    write_on_delays,
+)
 from cellslam.sim.lte.statistical.detector_layout import DIFFUSE_SHARE, Array
+from cellslam.sim.lte.steering_kernel import SteeringModel
 
 
 class Probe(NamedTuple):
-    """What samples are looked at with: two `beams` (2, K, P) a direction, of the ports that `by_set` says, and unit
-    vectors `delays` (tones, D), of K directions, `azimuths`, `elevations` (K,) in rad, azimuth by azimuth, and the D
-    distances of the `grid`.
+    """What samples are looked at with: two `beams` (2, K, P) a direction, of the ports that `by_set` says, of K
+    directions, `azimuths`, `elevations` (K,) in rad, azimuth by azimuth, and the D distances of the `grid`.
     """
 
     beams: Array
-    delays: Array
     grid: DelayGrid
     azimuths: Array
     elevations: Array
-
-
-class Outputs(NamedTuple):
-    """What the samples give beams and ports: `on_beams` (2, K, 2 D) and `on_ports` (ports, 2 D), real and imaginary
-    parts in turn.
-    """
-
-    on_beams: Array
-    on_ports: Array
 
 
 class Footprint(NamedTuple):
@@ -63,16 +61,19 @@ class PowerSpectrum(NamedTuple):
     elevations: int
 
 
-@njit(cache=True, nogil=True)
-def footprint_of(on_ports: Array, on_tones: Array, probe: Probe) -> Footprint:
-    """Return the footprint of n paths that give the ports `on_ports` (n, ports) and the tones `on_tones` (n, tones)."""
-    n, (_, count, seen) = len(on_ports), probe.beams.shape
-    on_beams, on_delays = np.empty((2, n, count), np.complex64), np.empty((n, probe.delays.shape[1]), np.complex64)
+@part
+def footprint_of(geometry: Array, weights: Array, probe: Probe, model: SteeringModel) -> Footprint:
+    """Return the footprint of paths at `geometry` (n, 3) in m, rad, rad, with weights (n, 2)."""
+    n, (_, count, seen) = len(geometry), probe.beams.shape
+    on_ports = on_ports_of(geometry, weights, model)
+    on_beams = np.empty((2, n, count), np.complex64)
+    on_delays = np.empty((n, len(probe.grid.distances)), np.complex64)
     if n:
         apart = on_ports.shape[1] // seen
         for s in range(2):
-            on_beams[s] = on_ports[:, s % apart :: apart].astype(np.complex64) @ probe.beams[s].T
-        on_delays[:] = on_tones.astype(np.complex64) @ probe.delays
+            on_beams[s] = np.ascontiguousarray(on_ports[:, s % apart :: apart]) @ probe.beams[s].T
+    for p in range(n):
+        write_on_delays(geometry[p, 0], probe.grid, on_delays[p])
     return Footprint(on_ports, on_beams, on_delays)
 
 
@@ -86,41 +87,70 @@ def both(one: Footprint, other: Footprint) -> Footprint:
 
 
 @part
-def write_energies(outputs: Outputs, taken: Footprint, directions: Array, spectrum: PowerSpectrum) -> None:
-    """Write the energies in `directions` (n,) of what the beams hold beside the paths that are taken out."""
-    bins = spectrum.energy.shape[1]
-    straight, turned = in_pairs(taken.on_delays, spectrum.energy)
-    squares, rest = np.empty(2 * bins, np.float32), np.empty(2 * bins, np.float32)
+def write_energies(
+    on_beams: Array, taken: Footprint, directions: Array, first: int, last: int, spectrum: PowerSpectrum
+) -> None:
+    """Write the energies in `directions` (n,), bins `first` to `last`, of what the beams hold, `on_beams` (2, K, 2 D)
+    in real and imaginary parts, beside the paths that are taken out.
+    """
+    width = 2 * (last - first)
+    straight, turned = in_pairs(taken.on_delays[:, first:last], spectrum.energy)
+    squares, rest = np.empty(width, np.float32), np.empty(width, np.float32)
     for k in directions:
         squares[:] = 0.0
         for s in range(2):
-            subtract_products(outputs.on_beams[s, k], taken.on_beams[s, :, k], straight, turned, rest)
-            for j in range(2 * bins):
+            row = on_beams[s, k, 2 * first : 2 * last]
+            subtract_products(row, taken.on_beams[s, :, k], straight, turned, rest)
+            for j in range(width):
                 squares[j] += rest[j] * rest[j]
-        row = spectrum.energy[k]
-        for d in range(bins):
-            row[d] = squares[2 * d] + squares[2 * d + 1]
+        for d in range(last - first):
+            spectrum.energy[k, first + d] = squares[2 * d] + squares[2 * d + 1]
+
+
+@part
+def write_energies_around(k: int, d: int, on_beams: Array, taken: Footprint, spectrum: PowerSpectrum) -> None:
+    """Write the energies that `local_level` looks at, of direction k and bin d."""
+    beyond = thresholds.GUARD_BINS + 2 * thresholds.REFERENCE_BINS
+    first, last = max(d - beyond, 0), min(d + beyond + 1, spectrum.energy.shape[1])
+    write_energies(on_beams, taken, neighbours(k, spectrum), first, last, spectrum)
 
 
 @njit(cache=True, nogil=True)
-def write_all_energies(outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum) -> None:
+def write_all_energies(on_beams: Array, taken: Footprint, spectrum: PowerSpectrum) -> None:
     """Write the energies in all directions."""
-    write_energies(outputs, taken, np.arange(len(spectrum.energy)), spectrum)
+    count, bins = spectrum.energy.shape
+    write_energies(on_beams, taken, np.arange(count), 0, bins, spectrum)
 
 
 @njit(cache=True, nogil=True)
-def write_noise(outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum) -> float:
-    """Write the energy of all ports beside the paths that are taken out, and the noise per sample over delay: the
-    running median of the ports' mean energy. Return the median of that.
+def leave(
+    samples: Array, geometry: Array, normal: Normal, residual: Array, spectrum: PowerSpectrum, probe: Probe,
+    model: SteeringModel,
+) -> tuple[Footprint, float]:  # fmt: skip
+    """Write what paths, fitted at `geometry` (n, 3), m, rad, rad, leave over of `samples` (ports, D), the `residual`
+    (ports, D), its noise, and where their diffuse energy is to be expected; return their footprint and the noise.
+    """
+    spectrum.trailing[:] = 0.0
+    note_trail(geometry, normal.wald, probe, spectrum)
+    taken = footprint_of(geometry, normal.weights, probe, model)
+    return taken, write_residual(samples, taken, spectrum, residual)
+
+
+@part
+def write_residual(samples: Array, taken: Footprint, spectrum: PowerSpectrum, residual: Array) -> float:
+    """Write `samples` (ports, D) without the paths that are taken out, the energy of all ports there, and the noise per
+    sample over delay: the running median of the ports' mean energy. Return the median of that.
 
     Cancelling another cell colours the noise over delay; paths fill few cells of a stretch. What differs by no more
     than scatter is set to the median.
     """
     port_energy, noise, bins = spectrum.port_energy, spectrum.noise, len(spectrum.noise)
     straight, turned = in_pairs(taken.on_delays, spectrum.energy)
-    squares, rest = np.zeros(2 * bins, np.float32), np.empty(2 * bins, np.float32)
-    for m in range(len(outputs.on_ports)):
-        subtract_products(outputs.on_ports[m], taken.on_ports[:, m], straight, turned, rest)
+    before, after = samples.view(np.float32), residual.view(np.float32)
+    squares = np.zeros(2 * bins, np.float32)
+    for m in range(len(before)):
+        rest = after[m]
+        subtract_products(before[m], taken.on_ports[:, m], straight, turned, rest)
         for j in range(2 * bins):
             squares[j] += rest[j] * rest[j]
     for d in range(bins):
@@ -157,7 +187,7 @@ def running_median(values: Array, width: int, out: Array) -> None:
         out[centre] = window[half]
 
 
-@njit(cache=True, nogil=True)
+@part
 def note_trail(geometry: Array, energy: Array, probe: Probe, spectrum: PowerSpectrum) -> None:
     """Note where diffuse energy of paths `geometry` (n, 3) in m, rad, rad is to be expected: at most their `energy`
     (n,).
