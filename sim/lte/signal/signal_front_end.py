@@ -11,8 +11,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from cellslam.sim.errors import InputError
@@ -40,6 +42,13 @@ SAME_PATH = 2.0 * np.array([4.6, np.radians(7.7), np.radians(8.0)])
 # Calibration errors of the array, by port; errors of the sites' carriers.
 PHASE_STD_DEG, GAIN_STD_DB = 5.0, 0.5
 CARRIER_OFFSET_STD_HZ = 0.03
+
+
+class Elements(NamedTuple):
+    """Elements (ports, tones) of a comb: `value` in roots of mW, and in mW the `variance` of either part of the noise."""
+
+    value: ComplexSingle
+    variance: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -105,19 +114,21 @@ class SignalLevel:
         sites = len(self.offsets_m)
         scattered = self.surroundings.add(paths, pose[:3])
         shape = (self.array.ports, len(self.waveform.tones_hz))
-        deviation = np.sqrt(0.5 * self.config.noise_mw())
-        total: dict[int, ComplexSingle] = {int(comb): np.zeros(shape, np.complex64) for comb in np.unique(self.combs)}
-        for elements in total.values():
-            symbol.add_noise(elements, rng.standard_normal((*shape, 2), np.float32), deviation)
+        own = np.float32(0.5 * self.config.noise_mw())
+        total = {
+            int(comb): Elements(np.zeros(shape, np.complex64), np.full(shape, own)) for comb in np.unique(self.combs)
+        }
         for site in range(sites):
             rows = slice(int(scattered.rows[site]), int(scattered.rows[site + 1]))
             if rows.stop > rows.start:
                 self._send(site, scattered, rows, pose, velocity_mps, snapshot, slots, total, rng)
-        return total
+        for value, variance in total.values():
+            symbol.add_noise(value, variance, rng.standard_normal((*shape, 2), np.float32))
+        return {comb: elements.value for comb, elements in total.items()}
 
     def _send(
         self, site: int, paths: PathColumns, rows: slice, pose: Floats, velocity_mps: Floats, snapshot: int,
-        slots: Ints, total: dict[int, ComplexSingle], rng: np.random.Generator,
+        slots: Ints, total: dict[int, Elements], rng: np.random.Generator,
     ) -> None:  # fmt: skip
         """Add what every cell of a site sends to the elements `total`."""
         config = self.config
@@ -143,18 +154,18 @@ class SignalLevel:
             amplitude = 10.0 ** ((config.eirp_dbm + sector_db) / 20.0)
             weights = on_ports[int(self.links.port[link]) % 2] * amplitude
             own = {int(self.combs[other]) for other in np.flatnonzero(self.links.cell == cell)}
-            for comb, elements in total.items():
+            for comb, (value, variance) in total.items():
                 shift = -2j * np.pi * comb * self.waveform.comb_step_hz / SPEED_OF_LIGHT_MPS
                 if comb == self.combs[link]:
                     shifted = (weights * np.exp(shift * length)).astype(np.complex64)
-                    normal = rng.standard_normal((*elements.shape, 2), np.float32)
-                    sent = self.sent[link][slots]
-                    symbol.add_pilots(elements, sums.of(shifted), sent, normal, config.evm * np.sqrt(0.5))
+                    response = sums.of(shifted)
+                    symbol.add_pilots(value, variance, response, self.sent[link], slots, config.evm * np.sqrt(0.5))
                 elif comb not in own and config.load > 0.0:
                     shifted = (weights[:, ::together] * np.exp(shift * length[::together])).astype(np.complex64)
-                    words = rng.integers(0, 65536, elements.shape, np.uint16)
+                    words = rng.bit_generator.random_raw(-(-value.size // 4)).view(np.uint16)[: value.size]
                     share = float(whole / np.sqrt(self.cells.ports[cell]))
-                    symbol.add_data(elements, sums.of_every(together, shifted), words, config.load, share)
+                    response = sums.of_every(together, shifted)
+                    symbol.add_data(value, response, words.reshape(value.shape), config.load, share)
 
     def _seen(self, velocity_mps: Floats, drift: Complex) -> Motion:
         """Return the array as it is, in motion with `velocity_mps` (3,), a carrier turning by `drift` (ports,)."""

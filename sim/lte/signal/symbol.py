@@ -1,4 +1,5 @@
-"""What arrives on the elements of one symbol: sums over many paths, noise, pilots and data.
+"""What arrives on the elements of one symbol: sums over many paths, pilots, data, and noise, which is drawn once: what
+the transmitters err by adds to its variance.
 
 A sum over paths is direct, or a fast Fourier transform where it pays: weights are spread over a grid of delays by a
 Gaussian, whose own transform is taken off again.
@@ -107,29 +108,36 @@ def phasors(length: Array, rate: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def add_noise(total: Array, normal: Array, deviation: float) -> None:
-    """Add complex noise to `total` (ports, tones) from `normal` (ports, tones, 2)."""
+def add_noise(total: Array, variance: Array, normal: Array) -> None:
+    """Add complex noise to `total` (ports, tones) from `normal` (ports, tones, 2): each part of it has the `variance`
+    (ports, tones).
+    """
     for m in range(total.shape[0]):
         for f in range(total.shape[1]):
-            total[m, f] += deviation * complex(normal[m, f, 0], normal[m, f, 1])
+            total[m, f] += math.sqrt(variance[m, f]) * complex(normal[m, f, 0], normal[m, f, 1])
 
 
 @njit(cache=True, nogil=True)
-def add_pilots(total: Array, response: Array, sent: Array, normal: Array, evm: float) -> None:
-    """Add response x sent, each element with a transmitter error of relative deviation `evm` (both parts)."""
+def add_pilots(total: Array, variance: Array, response: Array, sent: Array, slots: Array, evm: float) -> None:
+    """Add response x what is `sent` (slots, tones) in the slot of each port to `total` (ports, tones), and to the
+    `variance` of the noise a transmitter error of relative deviation `evm` (both parts).
+    """
+    share = np.float32(evm * evm)
     for m in range(total.shape[0]):
+        row = sent[slots[m]]
         for f in range(total.shape[1]):
-            error = complex(1.0 + evm * normal[m, f, 0], evm * normal[m, f, 1])
-            total[m, f] += response[m, f] * sent[m, f] * error
+            value = response[m, f] * row[f]
+            total[m, f] += value
+            variance[m, f] += share * (value.real * value.real + value.imag * value.imag)
 
 
 @njit(cache=True, nogil=True)
 def add_data(total: Array, response: Array, words: Array, load: float, amplitude: float) -> None:
     """Add data of random 16-bit `words` (ports, tones): 14 bits decide whether an element is used, two are QPSK."""
-    limit = load * 16384.0
-    size = amplitude * math.sqrt(0.5)
+    limit, size = load * 16384.0, np.float32(amplitude * math.sqrt(0.5))
     for m in range(total.shape[0]):
         for f in range(total.shape[1]):
-            word = words[m, f]
-            own = size if (word >> 2) < limit else 0.0
-            total[m, f] += response[m, f] * complex(own if word & 1 else -own, own if word & 2 else -own)
+            word, value = words[m, f], response[m, f]
+            own = size if (word >> 2) < limit else np.float32(0.0)
+            along, across = own if word & 1 else -own, own if word & 2 else -own
+            total[m, f] += complex(along * value.real - across * value.imag, along * value.imag + across * value.real)

@@ -85,16 +85,17 @@ def test_sums_over_paths_are_their_formula(paths: int, tones_hz: NDArray[np.floa
 def test_what_is_added_to_the_elements_is_its_formula() -> None:
     rng = np.random.default_rng(5)
     normal = rng.standard_normal((4, 7, 2), np.float32)
-    response, sent = (rng.standard_normal((4, 7)) + 1j * rng.standard_normal((4, 7)) for _ in range(2))
-    words = rng.integers(0, 65536, (4, 7), np.uint16)
-    total, error = np.zeros((4, 7), np.complex128), normal[..., 0] + 1j * normal[..., 1]
-    symbol.add_noise(total, normal, 0.3)
-    expected = 0.3 * error
-    np.testing.assert_allclose(total, expected, rtol=1e-6)
-    symbol.add_pilots(total, response, sent, normal, 0.1)
-    expected = expected + response * sent * (1.0 + 0.1 * error)
-    np.testing.assert_allclose(total, expected, rtol=1e-6)
+    response, every = ((rng.standard_normal((n, 7, 2)) @ [1.0, 1j]).astype(np.complex64) for n in (4, 3))
+    words, slots = rng.integers(0, 65536, (4, 7), np.uint16), np.array([2, 0, 2, 1])
+    total, variance = np.zeros((4, 7), np.complex64), np.full((4, 7), np.float32(0.5))
+    symbol.add_pilots(total, variance, response, every, slots, 0.1)
+    pilots = response * every[slots]
+    np.testing.assert_allclose(total, pilots, rtol=1e-6)
     symbol.add_data(total, response, words, 0.4, 2.0)
     qpsk = np.where(words & 1, 1.0, -1.0) + 1j * np.where(words & 2, 1.0, -1.0)
-    expected = expected + np.where(words >> 2 < 0.4 * 16384, response * qpsk * np.sqrt(2.0), 0.0)
+    expected = pilots + np.where(words >> 2 < 0.4 * 16384, response * qpsk * np.sqrt(2.0), 0.0)
     np.testing.assert_allclose(total, expected, rtol=1e-6)
+    symbol.add_noise(total, variance, normal)
+    # Noise, and what the transmitter errs by, are drawn as one.
+    deviation = np.sqrt(0.5 + 0.01 * np.abs(pilots) ** 2)
+    np.testing.assert_allclose(total, expected + deviation * (normal @ [1.0, 1j]), rtol=1e-5)
