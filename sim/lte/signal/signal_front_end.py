@@ -45,7 +45,7 @@ CARRIER_OFFSET_STD_HZ = 0.03
 
 
 class Elements(NamedTuple):
-    """Elements (ports, tones) of a comb: `value` in roots of mW, and in mW the `variance` of either part of the noise."""
+    """Elements (ports, tones) of a comb: `value` in roots of mW; `variance` in mW of either part of the noise."""
 
     value: ComplexSingle
     variance: NDArray[np.float32]
