@@ -110,7 +110,7 @@ def correlate(samples: Array, distance: float, grid: DelayGrid, out: Array) -> N
         out[0, m], out[1, m] = complex(real, imaginary), complex(slope_real, slope_imaginary)
 
 
-@part
+@part(fastmath={"contract"})
 def write_on_delays(distance: float, grid: DelayGrid, out: Array) -> None:
     """Write (D,): the tones of a distance in m, of size 1 each, correlated with those of the grid."""
     value, slope = np.empty(STENCIL), np.empty(STENCIL)
@@ -353,7 +353,7 @@ def inverse_information(information: Array) -> Array:
     return np.linalg.inv(2.0 * information * both + 1e-9 * np.eye(len(scale))) * both
 
 
-@lean
+@lean(fastmath={"contract"})
 def subtract_products(row: Array, factor: Array, straight: Array, turned: Array, out: Array) -> None:
     """Write `row` (2 c,) less the sum of complex factors (n,) times columns (n, 2 c), as `in_pairs` gives them; `out`
     may be the row itself.

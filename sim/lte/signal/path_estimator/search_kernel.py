@@ -86,7 +86,7 @@ def both(one: Footprint, other: Footprint) -> Footprint:
     )  # fmt: skip
 
 
-@part
+@part(fastmath={"contract"})
 def write_energies(
     on_beams: Array, taken: Footprint, directions: Array, first: int, last: int, spectrum: PowerSpectrum
 ) -> None:
@@ -136,7 +136,7 @@ def leave(
     return taken, write_residual(samples, taken, spectrum, residual)
 
 
-@part
+@part(fastmath={"contract"})
 def write_residual(samples: Array, taken: Footprint, spectrum: PowerSpectrum, residual: Array) -> float:
     """Write `samples` (ports, D) without the paths that are taken out, the energy of all ports there, and the noise per
     sample over delay: the running median of the ports' mean energy. Return the median of that.
@@ -239,19 +239,24 @@ def neighbours(k: int, spectrum: PowerSpectrum) -> Array:
 
 
 @lean
-def _surroundings(energy: Array, k: int, elevations: int, low: int, high: int) -> float:
-    """Return half the mean energy of direction k and its neighbours over bins low to high; zero outside."""
-    low, high = max(low, 0), min(high, energy.shape[1])
-    if high <= low:
-        return 0.0
-    azimuths, (a, e), total = len(energy) // elevations, divmod(k, elevations), 0.0
+def _surroundings(energy: Array, k: int, d: int, elevations: int) -> tuple[float, float]:
+    """Return half the mean energy of direction k and its neighbours before bin d, and behind: of two stretches on each
+    side the lesser, for another path there must not hide one in d.
+    """
+    azimuths, (a, e), last = len(energy) // elevations, divmod(k, elevations), energy.shape[1] - 1
+    before, long_before, behind, long_behind = 0.0, 0.0, 0.0, 0.0
     for turn in range(-1, 2):
         column = (a + turn) % azimuths * elevations
         for rise in range(-1, 2):
             beside = column + min(max(e + rise, 0), elevations - 1)
-            for d in range(low, high):
-                total += energy[beside, d]
-    return 0.5 * total / (9 * (high - low))
+            for way in range(thresholds.GUARD_BINS + 1, thresholds.GUARD_BINS + 1 + thresholds.REFERENCE_BINS):
+                far = way + thresholds.REFERENCE_BINS
+                before += energy[beside, max(d - way, 0)]
+                long_before += energy[beside, max(d - far, 0)]
+                behind += energy[beside, min(d + way, last)]
+                long_behind += energy[beside, min(d + far, last)]
+    share = 0.5 / (9 * thresholds.REFERENCE_BINS)
+    return share * min(before, long_before), share * min(behind, long_behind)
 
 
 @lean
@@ -262,18 +267,8 @@ def local_level(k: int, d: int, peak: float, spectrum: PowerSpectrum, diffuse: b
     directions at the same delay. Where `diffuse` energy is expected, what stands before or behind counts several
     times for the second.
     """
-    energy, elevations, noise = spectrum.energy, spectrum.elevations, spectrum.noise[d]
-    near, far = thresholds.GUARD_BINS + 1, thresholds.GUARD_BINS + 1 + thresholds.REFERENCE_BINS
-    beyond = far + thresholds.REFERENCE_BINS
-    # Of two stretches on each side the lesser: another path there must not hide this one.
-    before = min(
-        _surroundings(energy, k, elevations, d - far + 1, d - near + 1),
-        _surroundings(energy, k, elevations, d - beyond + 1, d - far + 1),
-    )
-    behind = min(
-        _surroundings(energy, k, elevations, d + near, d + far),
-        _surroundings(energy, k, elevations, d + far, d + beyond),
-    )
+    noise = spectrum.noise[d]
+    before, behind = _surroundings(spectrum.energy, k, d, spectrum.elevations)
     # A path's own sidelobes over delay are no disturbance.
     along = max(before, behind) - thresholds.SIDELOBES * peak
     around = level_around(d, peak, spectrum)
