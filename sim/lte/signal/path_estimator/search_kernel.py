@@ -287,7 +287,7 @@ def level_around(d: int, peak: float, spectrum: PowerSpectrum) -> float:
 
 @part
 def standing_out(spectrum: PowerSpectrum, coarse: float) -> tuple[Array, Array]:
-    """Return the cells (n, 2), direction and bin, within the window whose energy is `coarse` times the level that each
+    """Return the peaks (n, 2), direction and bin, within the window whose energy is `coarse` times the level that each
     must stand out of, the strongest first, and these levels (n,), energies per sample and delay.
 
     A cell weaker than `trailing` must stand out farther.
@@ -298,7 +298,7 @@ def standing_out(spectrum: PowerSpectrum, coarse: float) -> tuple[Array, Array]:
     for k in range(count):
         for d in range(MARGIN, bins - MARGIN):
             own = spectrum.energy[k, d]
-            if own < least[d] or own < coarse * level_around(d, own, spectrum):
+            if own < least[d] or own < coarse * level_around(d, own, spectrum) or not _is_peak(k, d, spectrum):
                 continue
             _, asked = local_level(k, d, own, spectrum, own < spectrum.trailing[k // spectrum.elevations, d])
             if own >= coarse * asked:
@@ -306,6 +306,19 @@ def standing_out(spectrum: PowerSpectrum, coarse: float) -> tuple[Array, Array]:
                 n += 1
     order = np.argsort(-energy[:n])
     return cells[order], level[order]
+
+
+@lean
+def _is_peak(k: int, d: int, spectrum: PowerSpectrum) -> bool:
+    """Return whether no neighbour of bin d in direction k has more energy."""
+    energy, elevations = spectrum.energy, spectrum.elevations
+    azimuths, (a, e), most = len(energy) // elevations, divmod(k, elevations), energy[k, d]
+    for turn in range(-1, 2):
+        column = (a + turn) % azimuths * elevations
+        for beside in range(column + max(e - 1, 0), column + min(e + 2, elevations)):
+            if max(energy[beside, d - 1], energy[beside, d], energy[beside, d + 1]) > most:
+                return False
+    return True
 
 
 @part
