@@ -175,9 +175,9 @@ def phase_rate(tones_hz: Floats) -> Floats:
     return np.asarray(2.0 * np.pi * (tones_hz - tones_hz.mean()) / SPEED_OF_LIGHT_MPS, np.float64)
 
 
-def _energy(vectors: ComplexSingle) -> NDArray[np.float32]:
-    """Return the squared norms (..., 1) of vectors (..., P)."""
-    return np.asarray(np.sum(vectors.real**2 + vectors.imag**2, axis=-1, keepdims=True), np.float32)
+def energy_of(vectors: ComplexSingle) -> NDArray[np.float32]:
+    """Return the squared norms (...) of vectors (..., P)."""
+    return np.asarray(np.square(vectors.view(np.float32)).sum(axis=-1), np.float32)
 
 
 @dataclass(frozen=True)
@@ -207,11 +207,12 @@ class Motion:
     @cached_property
     def beams(self) -> ComplexSingle:
         """Beams (2, K, P) of the search: orthonormal bases of what a direction's two polarisations can do."""
-        h, v = self.turned * self.receiver._sets(self.factor[None]).astype(np.complex64)
+        both: ComplexSingle = (self.turned * self.receiver._sets(self.factor[None]).astype(np.complex64)).conj()
         if not self.receiver.apart:  # else the two belong to different ports, and are orthogonal as they are
-            v = v - np.sum(h.conj() * v, axis=1, keepdims=True) / np.maximum(_energy(h), TINY) * h
-        both = np.stack([h, v])
-        return np.asarray(both.conj() / np.sqrt(np.maximum(_energy(both), TINY)), np.complex64)
+            h, v = both
+            v -= np.sum(h.conj() * v, axis=1, keepdims=True) / np.maximum(energy_of(h), TINY)[:, None] * h
+        both *= 1.0 / np.sqrt(np.maximum(energy_of(both), TINY))[..., None]
+        return both
 
     @cached_property
     def probe(self) -> Probe:

@@ -82,6 +82,11 @@ class SignalLevel:
         sample = SPEED_OF_LIGHT_MPS * self.waveform.sample_s
         return np.asarray(np.rint(self.offsets_m / sample) * sample, np.float64)
 
+    @cached_property
+    def floors(self) -> Floats:
+        """The floors (3,) of the errors in m, rad, rad."""
+        return floors(self.config)
+
     def name(self, link: int) -> tuple[int, int]:
         """Return cell ID and antenna port of a link."""
         return int(self.cells.cell_id[self.links.cell[link]]), int(self.links.port[link])
@@ -142,7 +147,7 @@ class SignalLevel:
         later = self.receiver.times_s - self.receiver.times_s.mean()
         drift = np.exp(2j * np.pi * self.carrier_offsets_hz[site] * later)
         steering = self._seen(velocity_mps, drift).steer(geometry[:, 1].copy(), geometry[:, 2].copy()).value
-        on_ports = [np.einsum("npq,nq->pn", steering, p.weights) for p in arriving]
+        on_ports = [np.einsum("npq,nq->pn", steering, p.weights).astype(np.complex64) for p in arriving]
         sums = symbol.PathSums(length, self.waveform.tones_hz)
         # What other cells' data add is noise-like: of diffuse energy only the power counts there.
         together = self.surroundings.scatterers + 1
@@ -152,19 +157,18 @@ class SignalLevel:
             off, down = (paths.departure_rad[rows] - [self.cells.azimuth_rad[cell], 0.0]).T
             sector_db = sector_gain_db(off, down, float(self.cells.tilt_rad[cell]), peak_dbi=0.0)
             amplitude = 10.0 ** ((config.eirp_dbm + sector_db) / 20.0)
-            weights = on_ports[int(self.links.port[link]) % 2] * amplitude
+            weights = on_ports[int(self.links.port[link]) % 2]
             own = {int(self.combs[other]) for other in np.flatnonzero(self.links.cell == cell)}
             for comb, (value, variance) in total.items():
                 shift = -2j * np.pi * comb * self.waveform.comb_step_hz / SPEED_OF_LIGHT_MPS
+                turn = (amplitude * np.exp(shift * length)).astype(np.complex64)
                 if comb == self.combs[link]:
-                    shifted = (weights * np.exp(shift * length)).astype(np.complex64)
-                    response = sums.of(shifted)
-                    symbol.add_pilots(value, variance, response, self.sent[link], slots, config.evm * np.sqrt(0.5))
+                    response, evm = sums.of(weights * turn), config.evm * np.sqrt(0.5)
+                    symbol.add_pilots(value, variance, response, self.sent[link], slots, evm)
                 elif comb not in own and config.load > 0.0:
-                    shifted = (weights[:, ::together] * np.exp(shift * length[::together])).astype(np.complex64)
+                    response = sums.of_every(together, weights[:, ::together] * turn[::together])
                     words = rng.bit_generator.random_raw(-(-value.size // 4)).view(np.uint16)[: value.size]
                     share = float(whole / np.sqrt(self.cells.ports[cell]))
-                    response = sums.of_every(together, shifted)
                     symbol.add_data(value, response, words.reshape(value.shape), config.load, share)
 
     def _seen(self, velocity_mps: Floats, drift: Complex) -> Motion:
@@ -233,7 +237,7 @@ class SignalLevel:
         geometry = found.geometry.copy()
         geometry[:, 0] += self.sync_m[site] - self.offsets_m[site]
         path = _sources(geometry, truth, self.receiver.finer)
-        std = np.sqrt(np.einsum("nii->ni", found.covariance) + floors(self.config) ** 2)
+        std = np.sqrt(np.einsum("nii->ni", found.covariance) + self.floors**2)
         out[:, k.SNAPSHOT], out[:, k.LINK] = snapshot, link
         out[:, k.DISTANCE] = geometry[:, 0] + self.offsets_m[site]
         out[:, k.AZIMUTH], out[:, k.ELEVATION] = geometry[:, 1], geometry[:, 2]

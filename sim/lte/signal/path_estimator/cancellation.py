@@ -32,14 +32,22 @@ def cancel(
     `slots` (ports,): slot of the frame in which each array port is sampled; `apart_m`: by how many m later the
     other cell's window begins.
     """
-    met, of, count = np.unique(np.asarray(slots, np.int64) % waveform.slots, return_inverse=True, return_counts=True)
-    # Ports by slot, as many places for each: one product for all slots.
+    met, of, within = _places(tuple((slots % waveform.slots).tolist()))
+    by_slot = np.zeros((len(met), within.max() + 1, y.shape[1]), np.complex64)
+    by_slot[of, within] = y
+    fit, back = _operators(waveform, own, other, comb, met, apart_m)
+    return y - (by_slot @ fit @ back)[of, within]
+
+
+@lru_cache(maxsize=8)
+def _places(slots: tuple[int, ...]) -> tuple[tuple[int, ...], Ints, Ints]:
+    """Return the slots that are met, and where in an array (slots, most ports of a slot) each port stands: one product
+    for all slots.
+    """
+    met, of, count = np.unique(slots, return_inverse=True, return_counts=True)
     order, within = np.argsort(of, kind="stable"), np.empty(len(of), np.int64)
     within[order] = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
-    by_slot = np.zeros((len(met), count.max(), y.shape[1]), np.complex64)
-    by_slot[of, within] = y
-    fit, back = _operators(waveform, own, other, comb, tuple(met.tolist()), apart_m)
-    return y - (by_slot @ fit @ back)[of, within]
+    return tuple(met.tolist()), of, within
 
 
 @lru_cache(maxsize=64)

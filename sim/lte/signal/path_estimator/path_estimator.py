@@ -36,7 +36,7 @@ from cellslam.sim.lte.signal.path_estimator import thresholds
 from cellslam.sim.lte.signal.path_estimator.acquire_kernel import Trials, add_paths, judged
 from cellslam.sim.lte.signal.path_estimator.fit_kernel import NO_NORMAL, Normal, climb
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
-from cellslam.sim.lte.signal.receiver import Motion, Receiver
+from cellslam.sim.lte.signal.receiver import Motion, Receiver, energy_of
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def estimate_paths(y: Complex | ComplexSingle, motion: Motion, start: Floats | N
     working: NDArray[np.bool_] = np.logical_and(np.isfinite(y).all(axis=1), y.any(axis=1))
     if not working.any():
         raise InputError("no array port delivered samples: all are zero or not finite")
-    samples = motion.receiver.at_distances(np.where(working[:, None], y, 0.0))
+    samples = motion.receiver.at_distances(y if working.all() else np.where(working[:, None], y, 0.0))
     link = _estimated(samples, motion, working, start)
     sound = np.logical_and(working, ~link.saturated())
     if not np.array_equal(sound, working):
@@ -187,7 +187,7 @@ class _Link:
     def unite(self) -> None:
         """Drop each path that a close stronger one can stand for: a fit without it explains as much."""
         tried = 0
-        while tried < len(self.fit.geometry):
+        while 1 < len(self.fit.geometry) > tried:
             near = _beside_stronger(self.fit, self.receiver)
             order = [i for i in np.argsort(self.fit.normal.wald) if near[i]]
             if tried >= len(order):
@@ -202,7 +202,7 @@ class _Link:
 
     def saturated(self) -> NDArray[np.bool_]:
         """Return which ports (ports,) hold much that no path explains: a share of their power and far over the rest."""
-        left, power = (np.sum(x.real**2 + x.imag**2, axis=1) for x in (self.spectrum.residual, self.spectrum.samples))
+        left, power = energy_of(self.spectrum.residual), energy_of(self.spectrum.samples)
         usual = _median(left[power > 0.0])
         return np.array((left > thresholds.SATURATED_EXCESS * usual) & (left > thresholds.SATURATED_SHARE * power))
 

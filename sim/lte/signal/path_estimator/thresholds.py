@@ -46,6 +46,6 @@ TOUCHING_M = 40.0  # within which dropping one path may save another
 CELL_M, CELL_RAD = 12.0, math.radians(18.0)  # within which a stronger path may stand for a weaker one
 
 # Ports.
-SATURATED_EXCESS = 6.0  # residual of a saturated port over that of others ...
+SATURATED_EXCESS = 25.0  # residual of a saturated port over that of others, which diffuse energy makes up to 15 ...
 SATURATED_SHARE = 0.25  # ... and over its own power, of which calibration errors leave 1 %
 UNEVEN = 0.4  # nepers of power from which the disturbance of a port differs from the others' by more than scatter

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter, median_filter
 from threadpoolctl import threadpool_limits
 
 from cellslam.sim.compiling import njit
@@ -114,21 +114,24 @@ def test_correlations_between_searched_distances_are_those_of_the_tones(waveform
         np.testing.assert_allclose(found[1], y @ (1j * receiver.rate * tones), atol=1e-4 * slope * np.sqrt(len(tones)))
 
 
-def test_cells_that_stand_out_are_all_of_them_the_strongest_first() -> None:
+def test_peaks_that_stand_out_are_all_of_them_the_strongest_first() -> None:
     rng = np.random.default_rng(3)
     y = channel(draw(rng, np.array([0.0, -10.0, -15.0]))) + noise(rng)
     spectrum = Spectrum(RECEIVER.at_distances(y), AT_REST)
     spectrum.evaluate()
     cells, _ = standing_out(spectrum.power, 10.0)
     energy = spectrum.power.energy
+    # Azimuths wrap around, elevations and delays end.
+    around_each = np.pad(energy.reshape(28, 7, -1), ((1, 1), (0, 0), (0, 0)), mode="wrap")
+    highest = maximum_filter(around_each, 3, mode="nearest")[1:-1].reshape(energy.shape)
     expected = []
     for k, d in zip(*np.nonzero(energy >= 10.0 * spectrum.power.noise), strict=True):
         inside = fit_kernel.MARGIN <= d < energy.shape[1] - fit_kernel.MARGIN
         around = level_around(d, energy[k, d], spectrum.power)
         _, asked = local_level(k, d, energy[k, d], spectrum.power, energy[k, d] < spectrum.power.trailing[k // 7, d])
-        if inside and energy[k, d] >= 10.0 * max(around, asked):
+        if inside and energy[k, d] >= 10.0 * max(around, asked) and energy[k, d] == highest[k, d]:
             expected.append((-energy[k, d], k, d))
-    assert len(expected) > 10
+    assert len(expected) >= 3
     assert [tuple(cell) for cell in cells.tolist()] == [cell[1:] for cell in sorted(expected)]
 
 
@@ -142,7 +145,7 @@ def test_search_kernels_are_their_numpy_twins() -> None:
         * doppler_phasors(TIMES, [1.0, 0.0, 0.0], *RECEIVER.directions, CARRIER_HZ)[:, :, None]
     )
     both, _ = np.linalg.qr(steering * motion.factor[:, None])  # two polarisations, each seen by all ports
-    y = spectrum.outputs.on_ports.view(np.complex64)
+    y = spectrum.samples
     energy = np.sum(np.abs(np.einsum("kpq,pd->kqd", both.conj(), y)) ** 2, axis=1)
     np.testing.assert_allclose(spectrum.power.energy, energy, rtol=1e-4, atol=1e-4)
     out = np.empty(spectrum.power.port_energy.shape)
@@ -158,8 +161,9 @@ def test_taking_a_path_out_of_the_spectrum_is_transforming_the_residual() -> Non
     spectrum = Spectrum(RECEIVER.at_distances(y), AT_REST)
     normal = evaluate(spectrum.samples, RECEIVER.grid, geometry, AT_REST.model)
     spectrum.leave(geometry, normal)
-    on_ports, on_tones = fit_kernel.factors(geometry, normal.weights, AT_REST.model)
-    residual = Spectrum(RECEIVER.at_distances(y - on_ports.T @ on_tones), AT_REST)
+    on_tones = np.exp(-1j * np.outer(geometry[:, 0], RECEIVER.rate))
+    on_ports = np.einsum("nmq,nq->mn", AT_REST.steer(geometry[:, 1], geometry[:, 2]).value, normal.weights)
+    residual = Spectrum(RECEIVER.at_distances(y - on_ports @ on_tones), AT_REST)
     np.testing.assert_allclose(spectrum.residual, residual.samples, atol=1e-4)
     for one in (spectrum, residual):
         one.evaluate()
