@@ -35,8 +35,8 @@ def cancel(
     met, of, within = _places(tuple((slots % waveform.slots).tolist()))
     by_slot = np.zeros((len(met), within.max() + 1, y.shape[1]), np.complex64)
     by_slot[of, within] = y
-    fit, back = _operators(waveform, own, other, comb, met, apart_m)
-    return y - (by_slot @ fit @ back)[of, within]
+    fit, back, turn = _operators(waveform, own, other, comb, met, apart_m)
+    return y - (by_slot @ fit)[of, within] @ back * turn[of]
 
 
 @lru_cache(maxsize=8)
@@ -53,25 +53,26 @@ def _places(slots: tuple[int, ...]) -> tuple[tuple[int, ...], Ints, Ints]:
 @lru_cache(maxsize=64)
 def _operators(
     waveform: Waveform, own: PortName, other: PortName, comb: int, slots: tuple[int, ...], apart_m: float
-) -> tuple[ComplexSingle, ComplexSingle]:
-    """Return the operators of several slots, (slots, tones, r) and (slots, r, tones)."""
+) -> tuple[ComplexSingle, ComplexSingle, ComplexSingle]:
+    """Return the operators of several slots (slots, tones, r), (r, tones) and (slots, tones): see `_operator`."""
     each = (_operator(waveform, own, other, comb, slot, apart_m) for slot in slots)
-    fit, back = (np.stack(parts) for parts in zip(*each, strict=True))
-    return fit, back
+    fit, turn = (np.stack(parts) for parts in zip(*each, strict=True))
+    return fit, np.ascontiguousarray(_window_basis(waveform).T, np.complex64), turn
 
 
 def _operator(
     waveform: Waveform, own: PortName, other: PortName, comb: int, slot: int, apart_m: float
 ) -> tuple[ComplexSingle, ComplexSingle]:
-    """Return (tones, r) and (r, tones): samples to the other cell's coefficients, and those to its samples."""
+    """Return (tones, r), from samples to the other cell's coefficients, of which the basis makes its channel, and
+    (tones,), from that to its samples.
+    """
     basis = _window_basis(waveform)
     mine, theirs = (waveform.values(port, comb, slot) for port in (own, other))
-    later = np.exp(-2j * np.pi * waveform.tones_hz * apart_m / SPEED_OF_LIGHT_MPS)
-    interfering = (mine.conj() * theirs * later)[:, None] * basis
-    both = np.concatenate([interfering, basis], axis=1)
+    turn = mine.conj() * theirs * np.exp(-2j * np.pi * waveform.tones_hz * apart_m / SPEED_OF_LIGHT_MPS)
+    both = np.concatenate([turn[:, None] * basis, basis], axis=1)
     gram = both.conj().T @ both + _RIDGE * np.eye(both.shape[1])
     coefficients = np.linalg.solve(gram, both.conj().T)[: basis.shape[1]]
-    return np.ascontiguousarray(coefficients.T, np.complex64), np.ascontiguousarray(interfering.T, np.complex64)
+    return np.ascontiguousarray(coefficients.T, np.complex64), turn.astype(np.complex64)
 
 
 @lru_cache(maxsize=8)
