@@ -9,7 +9,7 @@ what is lost: docs/how-to/training-sets.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.errors import InputError
 from cellslam.sim.recording import damage
 from cellslam.sim.recording.columns import COLUMNS, Column
 
@@ -29,6 +30,8 @@ SMALL = 256  # values: fewer are written as they are
 LEFT_OUT = ("truth/persisting_std", "truth/merging_shift", "truth/measurement_std")
 SNAPSHOT = "measurements/snapshot"  # compressed: it is read whole, as the first row of each snapshot
 SCALE, OFFSET = "scale_factor", "add_offset"
+_NUMBERS = {column.path for column in COLUMNS if column.kind != "text"}
+_TABLES = {column.table for column in COLUMNS}
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class Packed:
 
     def __getitem__(self, rows: Any) -> NDArray[Any]:
         """Return the values of some rows: floats where they were packed, otherwise what is stored."""
-        codes = self.codes[rows]
+        codes: NDArray[Any] = self.codes[rows]
         if self.scale is None:
             return codes
         return np.asarray(np.where(codes == 0, np.nan, self.offset + self.scale * codes.astype(np.float64)))
@@ -102,15 +105,31 @@ def mapped(path: Path) -> dict[str, Packed]:
     What is compressed is read. The file must be as it was written: its digest is checked, not the contract, which it
     was checked by when it was made. Raises InputError where it is not, OSError where it cannot be read.
     """
-    known = {column.path for column in COLUMNS if column.kind != "text"}
-    with damage.opened(path) as file:
-        memory = np.asarray(np.memmap(path, np.uint8, "r"))
-        return {name: _mapped(file[name], memory) for name in known if name in file}
+    damage.check(path)
+    memory = np.asarray(np.memmap(path, np.uint8, "r"))
+    with h5py.File(path, "r") as file:
+        return dict(_columns(file.id, "", memory))
 
 
-def _mapped(dataset: h5py.Dataset, memory: NDArray[np.uint8]) -> Packed:
-    begin = dataset.id.get_offset()
+def _columns(group: Any, table: str, memory: NDArray[np.uint8]) -> Iterator[tuple[str, Packed]]:
+    """Yield the columns of numbers in a group; h5py's lower level takes a tenth of the time of the upper one."""
+    for k in range(group.get_num_objs()):
+        name = group.get_objname_by_idx(k)
+        path = f"{table}{name.decode()}"
+        if group.links.get_info(name).type != h5py.h5l.TYPE_HARD:
+            raise InputError(f"'{path}' is a link into another file; make it again")
+        if path in _NUMBERS:
+            yield path, _mapped(h5py.h5d.open(group, name), memory)
+        elif path in _TABLES:
+            yield from _columns(h5py.h5g.open(group, name), f"{path}/", memory)
+
+
+def _mapped(dataset: Any, memory: NDArray[np.uint8]) -> Packed:
+    begin, attributes = dataset.get_offset(), (None, None)
+    if h5py.h5a.exists(dataset, SCALE.encode()):
+        attributes = attributes_of(h5py.Dataset(dataset))
     if begin is None:
-        return Packed(dataset[()], *attributes_of(dataset))
-    codes = memory[begin : begin + dataset.nbytes].view(dataset.dtype).reshape(dataset.shape)
-    return Packed(codes, *attributes_of(dataset))
+        damage.refuse_elsewhere(h5py.Dataset(dataset))
+        return Packed(h5py.Dataset(dataset)[()], *attributes)
+    codes = memory[begin : begin + dataset.get_storage_size()].view(dataset.dtype)
+    return Packed(codes.reshape(dataset.shape), *attributes)
