@@ -86,7 +86,7 @@ class ActiveSlamEnv(ScenarioEnv):
         self.decision_snapshots, self.top_speed_mps = decision_snapshots, top_speed_mps
         self.uncertainty_weight, self.lost_m = uncertainty_weight, lost_m
         self._limit_s, self._name = time_limit_s, estimator
-        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float64)
+        self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space: spaces.Space[Any] = spaces.Dict(
             {
                 "belief": spaces.Box(-WIDE, WIDE, dtype=np.float64),
