@@ -166,17 +166,16 @@ class World(Reception):
         return paths.take(blocked.free(len(paths)))
 
     def measure(
-        self, pose: Floats, velocity: Floats, snapshot: int, rng: Streams, odometry: Floats | None = None
+        self, poses: Floats, velocities: Floats, snapshot: int, rng: Streams, odometry: Floats | None = None
     ) -> tuple[Detections, Paths]:
-        """Return what the receiver reports at `pose` (6,), numbered `snapshot`, and the paths that exist there.
+        """Return what the receiver reports at `poses` (n, 6), numbered from `snapshot`, and the paths that exist there.
 
-        `velocity` (6,) is the true body velocity during the snapshot, `odometry` (6,) what the receiver knows of it
-        (None: the truth). `rng` advances: calls along a drive, in order and with the same streams, give the drive's
-        recording. `Detections.path` indexes the returned paths.
+        `velocities` (n, 6) are the true body velocities during the snapshots, `odometry` (n, 6) what the receiver knows
+        of them (None: the truth). `rng` advances: calls along a drive, in order and with the same streams, give the
+        drive's recording. `Detections.path` indexes the returned paths.
         """
-        poses, velocities = np.asarray(pose, np.float64)[None, :], np.asarray(velocity, np.float64)[None, :]
-        known = velocities if odometry is None else np.asarray(odometry, np.float64)[None, :]
-        paths = self.free_paths(poses, np.array([snapshot]))
+        known = velocities if odometry is None else odometry
+        paths = self.free_paths(poses, snapshot + np.arange(len(poses)))
         return self.detect(paths, poses, velocities, known, rng, snapshot), paths
 
     def measure_drive(
