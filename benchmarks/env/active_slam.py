@@ -226,4 +226,5 @@ def _snapshot(m: Measurements, rows: slice, index: int, first_row: int) -> Snaps
     numbers = np.arange(first_row, first_row + rows.stop - rows.start)
     columns: list[Any] = [m.link, m.distance_m, m.azimuth_rad, m.elevation_rad, m.snr_db]
     columns += [m.distance_std_m, m.azimuth_std_rad, m.elevation_std_rad]
-    return Snapshot(index, numbers, *(None if column is None else column[rows] for column in columns))
+    parts: list[Any] = [None if column is None else column[rows] for column in columns]
+    return Snapshot(index, numbers, *parts)
