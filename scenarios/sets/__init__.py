@@ -1,8 +1,8 @@
 """Named sets of drives to learn from: what they are. `reading` has their drives, `windows` batches of parts of them.
 
-A set is a folder: a packed recording a drive, by split; `index.csv`, a row a file; and the card, `croissant.json`. The
-drives of the split `test` have no truth; `test-truth` has them again, with it. A set never changes: what would change
-its drives is another set, under another name.
+A set is a folder: a packed recording a drive, by split, in some sets with its raw responses beside it; `index.csv`, a
+row a file; and the card, `croissant.json`. The drives of the split `test` have no truth; `test-truth` has them again,
+with it. A set never changes: what would change its drives is another set, under another name.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import unknown_name
 
 INDEX, CARD = "index.csv", "croissant.json"
+RESPONSES = "-responses"  # of the names of files with raw responses, and of their split in the index
 SPLITS = ("train", "validation", "test")
 TRUTH = "test-truth"
 _SHORT = {"vehicle.distance_m": 60.0, "vehicle.duration_s": 60.0, "vehicle.stops": 1}
@@ -35,6 +36,7 @@ class SetDefinition:
     drives: Mapping[str, int]
     seeds: Mapping[str, int]
     published: str
+    responses: bool = False  # whether each drive has its raw array responses beside it
 
     @cached_property
     def scenario(self) -> Scenario:
@@ -55,11 +57,12 @@ class SetDefinition:
 
 
 def _set(
-    name: str, title: str, preset: str, overrides: Mapping[str, Any], drives: tuple[int, int, int]
-) -> SetDefinition:
+    name: str, title: str, preset: str, overrides: Mapping[str, Any], drives: tuple[int, int, int],
+    responses: bool = False,
+) -> SetDefinition:  # fmt: skip
     seeds = {split: 68_000 + place for place, split in enumerate(SPLITS)}
     counts = dict(zip(SPLITS, drives, strict=True))
-    return SetDefinition(name, title, preset, {**_SHORT, **overrides}, counts, seeds, "2026-11-30")
+    return SetDefinition(name, title, preset, {**_SHORT, **overrides}, counts, seeds, "2026-11-30", responses)
 
 
 SETS = {
@@ -72,6 +75,12 @@ SETS = {
         _set(
             "learn-cities", "a minute each in another open city: those of validation and test are in no other split",
             "anywhere", {}, (800, 100, 100),
+        ),
+        _set(
+            "learn-signal", "raw array responses on one street: other clocks, other traffic, a snapshot a second",
+            "lund-530", {
+                "radio.front_end": "signal", "vehicle.snapshot_interval_s": 1.0, "traffic.vehicles_per_km": 20.0,
+            }, (24, 4, 4), responses=True,
         ),
     )
 }  # fmt: skip

@@ -178,6 +178,19 @@ class World(Reception):
         paths = self.free_paths(poses, snapshot + np.arange(len(poses)))
         return self.detect(paths, poses, velocities, known, rng, snapshot), paths
 
+    def measured_at(self, late_s: Floats | None = None) -> tuple[Floats, Floats]:
+        """Return where the snapshots of the trial's drive are measured (T, 6), and when (T,), counted in snapshots.
+
+        `late_s` (T,): how long before its snapshot each is (None: in time).
+        """
+        from cellslam.sim.lte.faults import poses_before
+
+        moment = np.arange(len(self.drive.poses), dtype=np.float64)
+        if late_s is None:
+            return self.drive.poses, moment
+        earlier = np.maximum(moment - late_s / self.config.vehicle.snapshot_interval_s, 0.0)
+        return poses_before(self.drive.poses, self.drive.time_s, late_s), earlier
+
     def measure_drive(
         self, rng: Streams, progress: Progress = silent, odometry: Floats | None = None, late_s: Floats | None = None
     ) -> tuple[Detections, Paths, Blocked]:
@@ -186,14 +199,9 @@ class World(Reception):
         `odometry` (T, 6): measured body velocities, with which the receiver undoes Doppler (None: the truth);
         `late_s` (T,): how long before its snapshot each was measured (None: in time).
         """
-        from cellslam.sim.lte.faults import poses_before
-
-        poses, velocities = self.drive.poses, self.drive.velocity
-        moment = np.arange(len(poses), dtype=np.float64)
-        if late_s is not None:
-            poses = poses_before(poses, self.drive.time_s, late_s)
-            moment = np.maximum(moment - late_s / self.config.vehicle.snapshot_interval_s, 0.0)
+        poses, moment = self.measured_at(late_s)
         paths, blocked = self.trace(poses, moment, progress)
+        velocities = self.drive.velocity
         known = velocities if odometry is None else odometry
         key = f"{self.config.model_dump_json()} {self.seed} {self.trial}"
         free = np.flatnonzero(blocked.free(len(paths)))

@@ -120,7 +120,7 @@ def test_windows_of_a_seed_repeat_and_others_differ(whole: Path) -> None:
 
 def test_what_named_sets_are_made_of_does_not_change() -> None:
     assert {name: one.digest[:12] for name, one in SETS.items()} == {
-        "learn-lund": "1ca0ff98d275", "learn-cities": "b3ed2e2b11a5",
+        "learn-lund": "1ca0ff98d275", "learn-cities": "b3ed2e2b11a5", "learn-signal": "a353e79bec07",
     }  # fmt: skip
 
 
@@ -151,3 +151,20 @@ def test_commands(
     assert main(["dataset", "check", str(whole)]) == 0
     assert "8 files with" in capfd.readouterr().err
     assert main(["dataset", "check", str(tmp_path)]) == 2
+
+
+@pytest.mark.slow
+def test_raw_responses_lie_beside_the_drives_and_are_checked_too(tmp_path: Path) -> None:
+    few = {"vehicle.duration_s": 8.0, "vehicle.distance_m": 2.0, "vehicle.stops": 0}
+    overrides = {**SETS["learn-signal"].overrides, **few, "traffic.vehicles_per_km": 0.0}
+    drives = {"train": 1, "validation": 0, "test": 1}
+    one = replace(SETS["learn-signal"], preset="tiny", overrides=overrides, drives=drives)
+    assert list(make(one, tmp_path)) == [2, 3]
+    assert finish(one, tmp_path)
+    assert len(list(check(tmp_path))) == 5
+    responses = tmp_path / "test" / "0000-responses.h5"
+    content = bytearray(responses.read_bytes())
+    content[-1000] ^= 1
+    responses.write_bytes(content)
+    with pytest.raises(InputError, match=r"0000-responses\.h5: is not the drive of index\.csv"):
+        list(check(tmp_path))

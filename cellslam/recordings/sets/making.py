@@ -21,7 +21,7 @@ import numpy as np
 from cellslam.benchmarks.bound.cramer_rao import bound
 from cellslam.benchmarks.trials.output_files import writing
 from cellslam.recordings.sets.card import card
-from cellslam.scenarios.sets import CARD, INDEX, TRUTH, SetDefinition
+from cellslam.scenarios.sets import CARD, INDEX, RESPONSES, TRUTH, SetDefinition
 from cellslam.scenarios.sets.reading import COLUMNS, Drive, Row, index_of
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.data_files import json_of, text_of
@@ -29,6 +29,7 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.files import write_durably
 from cellslam.sim.recording import Recording, damage
 from cellslam.sim.recording.packing import SNAPSHOT
+from cellslam.sim.world.responses import write_responses
 
 BOUND = "bound_rmse_m"  # in the provenance of a drive whose bound was computed
 
@@ -40,25 +41,26 @@ def make(one: SetDefinition, folder: Path, number: int = 1, count: int = 1) -> I
     A file of another set, or of another version of this one, is refused.
     """
     for split, trial in one.places[number - 1 :: count]:
-        whole = TRUTH if split == "test" else split
-        paths = _path(folder, whole, trial), _path(folder, split, trial)
+        paths = _files(one, folder, split, trial)
         if all(path.exists() for path in paths):
-            _check_origin(one, paths[-1])
+            _check_origin(one, paths[0])
             yield 0
             continue
         recording = simulate(one.scenario, one.seeds[split], trial)
-        if split != "train":
+        if split != "train" and not one.responses:
             recording = _with_bound(recording)
-        for path in set(paths):
+        for path in paths:
             path.parent.mkdir(parents=True, exist_ok=True)
-            (_hidden(recording) if path.parent.name == "test" else recording).save(path, pack=True)
-        yield len(set(paths))
+            if path.stem.endswith(RESPONSES):
+                write_responses(path, one.scenario.world, one.seeds[split], trial)
+            else:
+                (_hidden(recording) if path.parent.name == "test" else recording).save(path, pack=True)
+        yield len(paths)
 
 
 def finish(one: SetDefinition, folder: Path) -> bool:
     """Write index and card, if all drives are there; return whether they are. Raises InputError."""
-    places = [*one.places, *((TRUTH, trial) for trial in range(one.drives["test"]))]
-    paths = [_path(folder, split, trial) for split, trial in places]
+    paths = [path for place in one.places for path in _files(one, folder, *place)]
     if not all(path.exists() for path in paths):
         return False
     rows = [_row(folder, path) for path in paths]
@@ -87,20 +89,28 @@ def check(folder: Path) -> Iterator[Row]:
         raise InputError(f"{folder / INDEX}: is not the index of the card; 'cellslam dataset make' makes both again")
     for row in rows:
         path = folder / row.file
-        Recording.load(path)
+        if not row.split.endswith(RESPONSES):
+            Recording.load(path)
         if _row(folder, path) != row:
             raise InputError(f"{path}: is not the drive of {INDEX}: delete it, and make the set again")
         yield row
 
 
-def _path(folder: Path, split: str, trial: int) -> Path:
-    return folder / split / f"{trial:04}.h5"
+def _files(one: SetDefinition, folder: Path, split: str, trial: int) -> list[Path]:
+    """Return the files of a drive, the recording first."""
+    paths = [folder / split / f"{trial:04}.h5"]
+    paths += [folder / TRUTH / f"{trial:04}.h5"] if split == "test" else []
+    return paths + ([folder / split / f"{trial:04}{RESPONSES}.h5"] if one.responses else [])
 
 
 def _row(folder: Path, path: Path) -> Row:
     """Return what the index says of a drive."""
-    content, place = path.read_bytes(), path.relative_to(folder)
-    row = Row(str(place), path.parent.name, int(path.stem), 0, 0, 0, hashlib.sha256(content).hexdigest(), "")
+    place, raw = str(path.relative_to(folder)), RESPONSES if path.stem.endswith(RESPONSES) else ""
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    row = Row(place, path.parent.name + raw, int(path.stem[:4]), 0, 0, 0, digest, "")
+    if raw:
+        return row
     snapshot, times = (Drive(path, row)[name].codes for name in (SNAPSHOT, "time_s"))
     most = int(np.bincount(snapshot, minlength=1).max())
     bounded = _provenance_of(path).get(BOUND)
