@@ -33,11 +33,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.linalg.blas import dgemm, dtrsm
+from scipy.linalg.blas import dtrsm
 from threadpoolctl import threadpool_limits
 
+from cellslam.benchmarks.bound import DETECTIONS_OF_A_TRUE_VT
 from cellslam.benchmarks.bound.linear_model import NEVER, Core, Drive, linear_model
-from cellslam.benchmarks.bound.products_kernel import Sparse, times
+from cellslam.benchmarks.bound.products_kernel import Loads, Sparse, subtract_gains, times
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
     from cellslam.sim.lte.persisting_errors import Cause
 
 SMALLEST_SCALE = 1e-6  # s of a state: before it is smaller P takes it over, or 1 / s^2 would drown the rest
-LEAST_SEEN = 20  # from so many on, a VT counts in the map's bound over time
 EVERY = 10  # snapshots from one value of the map's bound to the next
 ROUNDING = 1e-14  # of a matrix's trace, that its eigenvalues can be wrong by
 IDLE = 0.03  # share of states that nothing meets any more, from which on they are taken out: to copy P takes time
@@ -59,7 +59,7 @@ class MapBound(Described):
     of VTs that were not seen; `error` (V, 3), estimate less truth in m of the filter that is linear about the truth.
 
     `times_seen` (V,): in how many snapshots each was seen. `over_time_m` (T,): root mean square of the bound over the
-    VTs that have been seen at least `LEAST_SEEN` times by then, NaN before there is one.
+    VTs that have been seen at least `DETECTIONS_OF_A_TRUE_VT` times by then, NaN before there is one.
     """
 
     std_m: Floats
@@ -99,7 +99,7 @@ class BoundResult(Described):
 class Joint:
     """What is known of the n states that are there: covariance `P` (n, n), error `m` (n,) of the mean, and the numbers
     `states` (n,) of these states. P and m are those of the states divided by their `scale` (n,), which is 1 for states
-    that do not fade. P is in Fortran's order, so that BLAS can write into it."""
+    that do not fade."""
 
     P: Floats
     m: Floats
@@ -110,7 +110,7 @@ class Joint:
         """Return the joint with k more states, of errors m (k,), covariance P (k, k) and covariances P_old (k, n) with
         those that were there."""
         n, size = len(self.m), len(self.m) + len(m)
-        joint = np.zeros((size, size), order="F")
+        joint = np.zeros((size, size))
         joint[:n, :n], joint[n:, n:], joint[n:, :n] = self.P, P, P_old
         joint[:n, n:] = joint[n:, :n].T
         scale = np.concatenate([self.scale, np.ones(len(m))])
@@ -118,11 +118,10 @@ class Joint:
 
     def only(self, kept: Ints) -> Joint:
         """Return some of the states alone, those at the places `kept` (k,)."""
-        P = np.asfortranarray(self.P[np.ix_(kept, kept)])
-        return Joint(P, self.m[kept], self.states[kept], self.scale[kept])
+        return Joint(self.P[np.ix_(kept, kept)], self.m[kept], self.states[kept], self.scale[kept])
 
 
-NOTHING = Joint(np.zeros((0, 0), order="F"), np.zeros(0), np.zeros(0, np.int64), np.zeros(0))
+NOTHING = Joint(np.zeros((0, 0)), np.zeros(0), np.zeros(0, np.int64), np.zeros(0))
 
 
 def bound(
@@ -162,7 +161,7 @@ def recursion(
             pose[t], error[t] = joint.P[:6, :6], joint.m[:6]
             offset[t] = joint.P[core.offsets, core.offsets]
             over_time[t] = (
-                _rms(_map_bound(joint, drive, core)[0][times_seen[t] >= LEAST_SEEN])
+                _rms(_map_bound(joint, drive, core)[0][times_seen[t] >= DETECTIONS_OF_A_TRUE_VT])
                 if t % EVERY == 0
                 else over_time[t - 1]
             )
@@ -237,22 +236,6 @@ def _measure(joint: Joint, drive: Drive, t: int) -> Joint:
     return joint
 
 
-@dataclass(frozen=True)
-class Loads:
-    """The matrix H (k, n) of k components. Measurements of one view share its loads: H is rows `of` (k,) of what is
-    `shared` (v, n), with the `load` (k,) of each component on a state `own` (k,) to it."""
-
-    shared: Sparse
-    of: Ints
-    own: Ints
-    load: Floats
-
-    def __matmul__(self, x: Floats) -> Floats:
-        """Return H x^T (k, l), for x (l, n), whose columns are added up."""
-        product: Floats = times(self.shared, x)[self.of] + self.load[:, None] * x[:, self.own].T
-        return product
-
-
 def _loads(joint: Joint, drive: Drive, rows: Ints, chosen: NDArray[np.bool_]) -> Loads:
     """Return H of the `chosen` (k, 3) components of measurements `rows` (k,); what is not there has no load."""
     views, s = drive.views, drive.sightings
@@ -277,10 +260,10 @@ def _give_births(joint: Joint, drive: Drive, rows: Ints) -> Joint:
     """
     s, H = drive.sightings, _loads(joint, drive, rows, np.ones((len(rows), 3), np.bool_))
     D = block_diag(*np.linalg.inv(drive.views.by_vt[s.view_of[rows]]))
-    HP = H @ joint.P
-    P_v = D @ (H @ HP + np.diag(s.variance[rows].ravel())) @ D.T
+    HP = times(H, joint.P)
+    P_v = D @ (times(H, HP.T.copy()) + np.diag(s.variance[rows].ravel())) @ D.T
     v = (s.vt[rows, None] + np.arange(3)).ravel()
-    return joint.with_more(v, D @ (s.residual[rows].ravel() - (H @ joint.m[None])[:, 0]), P_v, -D @ HP)
+    return joint.with_more(v, D @ (s.residual[rows].ravel() - times(H, joint.m[:, None])[:, 0]), P_v, -D @ HP)
 
 
 def _update(joint: Joint, drive: Drive, rows: Ints, measured: NDArray[np.bool_]) -> None:
@@ -291,11 +274,12 @@ def _update(joint: Joint, drive: Drive, rows: Ints, measured: NDArray[np.bool_])
     """
     s, H = drive.sightings, _loads(joint, drive, rows, measured)
     root = np.sqrt(s.variance[rows][measured])
-    HP = (H @ joint.P) / root[:, None]
-    S = (H @ HP) / root[:, None]
+    HP = times(H, joint.P)
+    HP /= root[:, None]
+    S = times(H, HP.T.copy()) / root[:, None]
     S[np.diag_indices(len(S))] += 1.0 + ROUNDING * np.trace(S)
     L = np.linalg.cholesky(S)
-    G = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1)  # transposed, (n, k), as BLAS has it
-    dgemm(-1.0, G, G, beta=1.0, c=joint.P, trans_b=1, overwrite_c=1)
-    innovation = (s.residual[rows][measured] - (H @ joint.m[None])[:, 0]) / root
-    joint.m[:] += G @ dtrsm(1.0, L, innovation[:, None], lower=1)[:, 0]
+    G = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
+    subtract_gains(joint.P, G)
+    innovation = (s.residual[rows][measured] - times(H, joint.m[:, None])[:, 0]) / root
+    joint.m[:] += dtrsm(1.0, L, innovation[:, None], lower=1)[:, 0] @ G

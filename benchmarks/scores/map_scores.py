@@ -14,11 +14,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from cellslam.benchmarks.bound import DETECTIONS_OF_A_TRUE_VT
 from cellslam.sim.recording import Floats, Ints, Recording, Truth
 from cellslam.slam.api import VtEstimate
 
 CUTOFF_M = 20.0  # a pair farther apart is a truth missed and a false estimate
-DETECTIONS_OF_A_TRUE_VT = 20
 
 
 def gospa(truth_m: Floats, estimate_m: Floats) -> float:

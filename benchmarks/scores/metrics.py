@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cellslam.benchmarks.bound import DETECTIONS_OF_A_TRUE_VT
 from cellslam.benchmarks.scores.belief import (
     AS_CLAIMED,
     LEVELS,
@@ -26,7 +27,6 @@ from cellslam.benchmarks.scores.belief import (
     two_sided,
 )
 from cellslam.benchmarks.scores.map_scores import (
-    DETECTIONS_OF_A_TRUE_VT,
     Tracks,
     map_gospa,
     precision_recall,

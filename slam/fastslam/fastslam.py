@@ -62,10 +62,10 @@ from cellslam.slam.fastslam.fastslam_kernel import (
     end_block,
     innovate,
     predict_and_score,
-    room_for,
     spread_over_particles,
     step_clocks,
     use,
+    workspace_for,
 )
 from cellslam.slam.fastslam.fastslam_options import NEVER, FastSlamOptions
 from cellslam.slam.fastslam.parts import (
@@ -84,12 +84,12 @@ from cellslam.slam.joint.ekf_slam import JointFilter
 from cellslam.slam.joint.mixture import Mixture
 from cellslam.slam.joint.snapshot.association_kernel import FRESH, NO_BIRTH
 from cellslam.slam.joint.snapshot.motion_kernel import NOTHING_DRAWN, Interval
-from cellslam.slam.joint.snapshot.snapshot_kernel import Room
+from cellslam.slam.joint.snapshot.snapshot_kernel import Workspace
 from cellslam.slam.joint.state.layout import (
     HITS,
     LAST,
     POSE,
-    SHARE,
+    WEIGHT,
     ArrayErrors,
     Block,
     Filter,
@@ -136,7 +136,7 @@ class FastSlam(JointFilter):
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         """Take the prior; draws begin with the first block of snapshots."""
         self._rng, self._block = rng, 0
-        self._room: Room | None = None
+        self._workspace: Workspace | None = None
         super().start(setup, rng)
         o, wide = self.options, np.asarray(setup.start_std)[PLANE]
         self._widths = np.array([o.place_component_m, o.place_component_m, math.radians(o.heading_component_deg)])
@@ -172,7 +172,7 @@ class FastSlam(JointFilter):
         if self._start_is_wide and len(measured.z):
             self._begin_groups(mixture, measured)
         self._share_particles(mixture)
-        mixture.make_room(measured, self.options.vts)
+        mixture.reserve_for(measured, self.options.vts)
         if self._drawn_blocks:
             interval = interval._replace(drawn=self._core.drawn[self._block % self._drawn_blocks])
         paired = [self._associate(*self._group(mixture, k), errors, interval, measured) for k in range(len(mixture))]
@@ -183,7 +183,7 @@ class FastSlam(JointFilter):
         full = len(parents) > 0
         for k in range(len(mixture)):
             f, b = self._group(mixture, k)
-            full |= use(f, errors, b, measured, chosen[k], association[k], self._room_for(f, measured))
+            full |= use(f, errors, b, measured, chosen[k], association[k], self._workspace_for(f, measured))
         if full:
             for k in range(len(mixture)):
                 mixture.influence.rest[k] += self._end_block(*self._group(mixture, k), errors, interval, measured)
@@ -200,11 +200,11 @@ class FastSlam(JointFilter):
     ) -> list[Ints]:
         """Move a group, and return hypotheses of which VT each measurement is of: its slot (m,), FRESH for a new one,
         NO_BIRTH for none; the likeliest first."""
-        m, V, room = len(measured.z), len(f.vts.slots), self._room_for(f, measured)
+        m, V, work = len(measured.z), len(f.vts.slots), self._workspace_for(f, measured)
         scores = Scores(np.zeros(1, np.int64), np.empty(V, np.int64), np.empty((V, m)), np.empty((V, m)))
-        predict_and_score(f, errors, b, interval, measured, room, scores)
+        predict_and_score(f, errors, b, interval, measured, work, scores)
         found = self._hypotheses(f, measured, scores)
-        if self._core.step_m.any() and step_clocks(f, errors, b, measured, found[0], room, scores):
+        if self._core.step_m.any() and step_clocks(f, errors, b, measured, found[0], work, scores):
             found = self._hypotheses(f, measured, scores)
         return found
 
@@ -233,14 +233,14 @@ class FastSlam(JointFilter):
 
     def _end_block(self, f: Filter, b: Block, errors: ArrayErrors, interval: Interval, measured: Measured) -> float:
         """Update, weigh, draw and resample a group; return what adds to its log-weight beside its VTs."""
-        room, parts, before = self._room_for(f, measured), self.parts, f.x[: f.size[0]].copy()
-        site_of, places = measured.site_of, self._core.drawn
-        drawn = places[(self._block + 1) % len(places)] if self._drawn_blocks else NOTHING_DRAWN
+        work, parts, before = self._workspace_for(f, measured), self.parts, f.x[: f.size[0]].copy()
+        site_of, indices = measured.site_of, self._core.drawn
+        drawn = indices[(self._block + 1) % len(indices)] if self._drawn_blocks else NOTHING_DRAWN
         if self.options.lag < 0:
             self._draw_blindly(f, b, drawn)
-            spread_over_particles(f, site_of, room)
-        innovate(f, errors, b, measured, room)
-        n, w, k = int(f.size[0]), room.pending, int(room.pending.used[0])
+            spread_over_particles(f, site_of, work)
+        innovate(f, errors, b, measured, work)
+        n, w, k = int(f.size[0]), work.pending, int(work.pending.used[0])
         # By these rows, and beside them, the joint filter has moved the mean; here the particles are moved.
         f.x[:n] += w.added[:n] - w.rows[:k, :n].T @ w.whitened_mean[:k]
         G, W = parts.update(w.rows[:k, :n], w.whitened[:k])
@@ -253,9 +253,9 @@ class FastSlam(JointFilter):
         w.rows[: len(G), :n] = G
         self._move(f, G, W, log_likelihood)
         rules = self._prune(f, measured)
-        total = end_block(f, errors, b, before, interval.noise, measured._replace(rules=rules), drawn, room)
+        total = end_block(f, errors, b, before, interval.noise, measured._replace(rules=rules), drawn, work)
         self._resample(f)
-        spread_over_particles(f, site_of, room)
+        spread_over_particles(f, site_of, work)
         return total
 
     def _drawn(self, f: Filter, drawn: Ints, G: Floats, W: Floats) -> tuple[Floats, Floats, Floats]:
@@ -315,7 +315,7 @@ class FastSlam(JointFilter):
             detections=hits.copy(), unseen_s=np.asarray(unseen * step_s, np.float64), lifetime_s=lifetime * step_s,
             confirmed=hits >= rules.lifetime.confirm,
         )  # fmt: skip
-        f.vts.anchor[:count, SHARE][returned("pruning", self.parts.pruning(vts), (count,), "b")] = DROPPED
+        f.vts.anchor[:count, WEIGHT][returned("pruning", self.parts.pruning(vts), (count,), "b")] = DROPPED
         forever = np.iinfo(np.int64).max
         return rules._replace(lifetime=rules.lifetime._replace(age_once=forever, age_twice=forever))
 
@@ -354,14 +354,14 @@ class FastSlam(JointFilter):
         found = self.parts.resampling(weight, count, self._rng)
         return returned("resampling", found, (count,), "i", least=0, below=len(weight))
 
-    def _room_for(self, f: Filter, measured: Measured) -> Room:
+    def _workspace_for(self, f: Filter, measured: Measured) -> Workspace:
         """Return memory to work in that is large enough for a group and a snapshot."""
-        w, most = self._room, len(measured.z)
+        w, most = self._workspace, len(measured.z)
         if (
             w is None or len(w.pending.added) != len(f.x) or w.pairs.score.shape[0] != len(f.vts.slots)
             or w.pairs.score.shape[1] < most or w.pending.whitened.shape[1] != len(f.particles.weight)
         ):  # fmt: skip
-            w = self._room = room_for(f, 2 * most + 8, 3 * len(f.vts.slots) + SPARE_ROWS)
+            w = self._workspace = workspace_for(f, 2 * most + 8, 3 * len(f.vts.slots) + SPARE_ROWS)
         return w
 
 

@@ -16,16 +16,16 @@ from cellslam.sim.compiling import njit, part
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.joint.snapshot.association_kernel import score_pairs
 from cellslam.slam.joint.snapshot.motion_kernel import Interval
-from cellslam.slam.joint.snapshot.sight_kernel import coordinates, geometry, rotations_of
+from cellslam.slam.joint.snapshot.observation_kernel import coordinates, geometry, rotations_of
 from cellslam.slam.joint.snapshot.snapshot_kernel import (
-    Room,
+    Workspace,
     advance,
     begin_update,
     count_odds,
     end_update,
     ends,
     give_births,
-    new_room,
+    new_workspace,
     take_in,
     update_by_block,
 )
@@ -48,38 +48,38 @@ class Scores(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def room_for(f: Filter, measurements: int, rows: int) -> Room:
+def workspace_for(f: Filter, measurements: int, rows: int) -> Workspace:
     """Return memory to work in, for one group, a snapshot of so many measurements, and updates of so many rows."""
-    return new_room(f, measurements, rows)
+    return new_workspace(f, measurements, rows)
 
 
 @njit(cache=True, nogil=True)
 def predict_and_score(
-    f: Filter, a: ArrayErrors, b: Block, interval: Interval, seen: Measured, room: Room, out: Scores
+    f: Filter, a: ArrayErrors, b: Block, interval: Interval, seen: Measured, work: Workspace, out: Scores
 ) -> None:
     """Move a group by an interval, and write how the measurements of a snapshot fit its VTs."""
     if interval.dt > 0.0:
-        advance(f, b, interval, room.step)
-    _score(f, a, seen, room, out)
+        advance(f, b, interval, work.step)
+    _score(f, a, seen, work, out)
 
 
 @njit(cache=True, nogil=True)
-def step_clocks(f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, room: Room, out: Scores) -> bool:
+def step_clocks(f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, w: Workspace, out: Scores) -> bool:
     """Shift the clocks that the measurements, associated with the VTs `slot_of` (m,), show to have stepped, and score
     again; return whether there is any."""
-    put(room.pairs.slot_of, slot_of)
-    shifted = shift_clocks(f, b, a, seen, room.sight, room.pairs)
+    put(w.pairs.slot_of, slot_of)
+    shifted = shift_clocks(f, b, a, seen, w.jacobian, w.pairs)
     if shifted:
-        _score(f, a, seen, room, out)
+        _score(f, a, seen, w, out)
     return shifted
 
 
 @part
-def _score(f: Filter, a: ArrayErrors, seen: Measured, room: Room, out: Scores) -> None:
-    w, n = room.pairs, 0
+def _score(f: Filter, a: ArrayErrors, seen: Measured, work: Workspace, out: Scores) -> None:
+    w, n = work.pairs, 0
     for link in range(len(seen.first) - 1):
         start, stop = seen.first[link], seen.first[link + 1]
-        for r in range(score_pairs(f, a, seen, link, room.sight, w) if stop > start else 0):
+        for r in range(score_pairs(f, a, seen, link, work.jacobian, w) if stop > start else 0):
             out.slot[n] = w.chosen[r]
             out.log_ratio[n, :], out.distance2[n, :] = -math.inf, math.inf
             for k in range(start, stop):
@@ -89,51 +89,51 @@ def _score(f: Filter, a: ArrayErrors, seen: Measured, room: Room, out: Scores) -
 
 
 @njit(cache=True, nogil=True)
-def use(f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, association: Ints, room: Room) -> bool:
+def use(f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, association: Ints, work: Workspace) -> bool:
     """Use a snapshot whose measurements are associated with the VTs `slot_of` (m,), FRESH and NO_BIRTH among them;
     write their identities into `association` (m,); return whether the block is full."""
-    w = room.pairs
+    w = work.pairs
     put(w.slot_of, slot_of)
     count_odds(f, b, seen, w)
-    take_in(f, b, seen, association, room.sight, w)
-    give_births(f, a, b, seen, association, room.sight, w, room.pending)
+    take_in(f, b, seen, association, work.jacobian, w)
+    give_births(f, a, b, seen, association, work.jacobian, w, work.pending)
     return ends(b, seen.rules)
 
 
 @njit(cache=True, nogil=True)
-def innovate(f: Filter, a: ArrayErrors, b: Block, seen: Measured, room: Room) -> None:
-    """Linearise a block: leave the whitened innovations and gains of its measurements in room.pending."""
-    begin_update(f, a, b, seen, room.pending)
-    update_by_block(f, a, b, seen, room.sight, room.pending)
+def innovate(f: Filter, a: ArrayErrors, b: Block, seen: Measured, work: Workspace) -> None:
+    """Linearise a block: leave the whitened innovations and gains of its measurements in work.pending."""
+    begin_update(f, a, b, seen, work.pending)
+    update_by_block(f, a, b, seen, work.jacobian, work.pending)
 
 
 @njit(cache=True, nogil=True)
 def end_block(
-    f: Filter, a: ArrayErrors, b: Block, before: Floats, noise: Floats, seen: Measured, drawn: Ints, room: Room
+    f: Filter, a: ArrayErrors, b: Block, before: Floats, noise: Floats, seen: Measured, drawn: Ints, work: Workspace
 ) -> float:
-    """End a block whose update began in the mean `before` (n,): take the rows of room.pending off the covariance, and
+    """End a block whose update began in the mean `before` (n,): take the rows of work.pending off the covariance, and
     do what the joint filter does then; return what that adds to the group's log-weight.
 
-    drawn (6,): places of the noise that was drawn, -1 for none; a new block begins, in which it is zero so far.
+    drawn (6,): indices of the noise that was drawn, -1 for none; a new block begins, in which it is zero so far.
     """
-    settle(f, room.pending)
-    room.pending.added[:] = 0.0
+    settle(f, work.pending)
+    work.pending.added[:] = 0.0
     for c in range(len(drawn)):
-        place = drawn[c]
-        if place >= 0:
-            f.x[place] = 0.0
-            f.particles.deviation[place] = 0.0
+        index = drawn[c]
+        if index >= 0:
+            f.x[index] = 0.0
+            f.particles.deviation[index] = 0.0
             for i in range(f.size[0]):
-                f.p[place, i] = 0.0
-                f.p[i, place] = 0.0
-    return end_update(f, a, b, before, noise, seen, room.pending)
+                f.p[index, i] = 0.0
+                f.p[i, index] = 0.0
+    return end_update(f, a, b, before, noise, seen, work.pending)
 
 
 @njit(cache=True, nogil=True)
-def spread_over_particles(f: Filter, site_of: Ints, room: Room) -> None:
+def spread_over_particles(f: Filter, site_of: Ints, work: Workspace) -> None:
     """Write f.vts.spread: the covariance over the particles of what they expect of each VT, linearised at the mean, as
     distance (m), clock offset included, azimuth and elevation (rad). site_of (L,): site of each link."""
-    turned, here, s, count = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), room.sight, len(f.particles.weight)
+    turned, here, s, count = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), work.jacobian, len(f.particles.weight)
     expected = np.empty((3, count))
     for j in range(f.count[0]):
         offset = f.core.first_offset + site_of[f.vts.slots[j, LINK]]

@@ -406,9 +406,9 @@ class PaperFastSlam:
         self._bias[:, YAW] = self._scale[:, FORWARD] = 0.0
         if o.motion == "marginalised":
             theta[:], P[:] = 0.0, [model.bias[YAW] ** 2, 0.0, model.scale[FORWARD] ** 2]
-        counts, room = np.zeros((N, len(links)), np.int64), max(VTS // max(len(links), 1), LEAST_VTS)
+        counts, capacity = np.zeros((N, len(links)), np.int64), max(VTS // max(len(links), 1), LEAST_VTS)
         sums = np.zeros((N, 2)), np.zeros((N, 3)), np.zeros((N, 1))
-        vts, (link, position_m, std_m) = np.zeros((*counts.shape, room, WIDTH)), self._fusion.setup.surveyed
+        vts, (link, position_m, std_m) = np.zeros((*counts.shape, capacity, WIDTH)), self._fusion.setup.surveyed
         counts[:, link], vts[:, link, 0, MU:LAST] = 1, position_m
         vts[:, link[:, None], 0, SIGMA + np.diag(UPPER)] = std_m**2
         vts[:, link, 0, HITS], vts[:, link, 0, IDENT] = np.inf, link  # never dubious

@@ -26,15 +26,15 @@ def found(mixture: Mixture, errors: ArrayErrors) -> Calibration:
     A filter that has not met a weight has its prior.
     """
     owners, component, size = _owners(errors)
-    k, states = len(mixture), mixture.arrays.fields.place[: len(mixture), : len(owners)]
+    k, states = len(mixture), mixture.arrays.fields.state[: len(mixture), : len(owners)]
     met = np.flatnonzero((states >= 0).any(axis=0))
     x, p = np.zeros((k, len(met))), np.tile(np.eye(len(met)), (k, 1, 1))
     for i in range(k):
         there = np.flatnonzero(states[i, met] >= 0)
-        place = states[i, met[there]]
-        x[i, there] = mixture.arrays.x[i, place]
-        p[i][np.ix_(there, there)] = mixture.arrays.p[i][np.ix_(place, place)]
-    mean, covariance = mixture_moments(mixture.shares(), x, p)
+        index = states[i, met[there]]
+        x[i, there] = mixture.arrays.x[i, index]
+        p[i][np.ix_(there, there)] = mixture.arrays.p[i][np.ix_(index, index)]
+    mean, covariance = mixture_moments(mixture.weights(), x, p)
     std = size[component[met]]
     g = errors.calibration_grid
     return Calibration(
@@ -52,7 +52,7 @@ def begin_with(mixture: Mixture, errors: ArrayErrors, known: Calibration) -> Non
     f, at = mixture.arrays, int(mixture.arrays.size[0, 0]) + np.arange(count)
     f.x[:, at] = known.mean / std
     f.p[:, at[:, None], at] = known.covariance / (std[:, None] * std)
-    f.owner[:, at], f.fields.place[:, owner] = owner, at
+    f.owner[:, at], f.fields.state[:, owner] = owner, at
     f.size[:] += count
 
 

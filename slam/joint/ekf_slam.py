@@ -21,9 +21,9 @@ Recursion, for odometry u over dt with white noise of density q, and measurement
     begin, drop VTs: augmented by the inverse of h, marginalised          snapshot/birth_kernel.py
 
 Weight of filter i of a mixture (wide clock offsets: start.py)
-    log w_i = rest_i + sum over paths of max(a_i - max_k a_k, -MOST),  a_i = max(worth_i - BIRTH, 0)
+    log w_i = rest_i + sum over paths of max(a_i - max_k a_k, -MOST),  a_i = max(l_i - BIRTH, 0)
                                                                           influence.py: bounded
-    worth: log-ratio of the likelihood of a path's measurements to that of clutter; rest: the prior, steps of clocks
+    l: log-ratio of the likelihood of a path's measurements to that of clutter; rest: the prior, steps of clocks
 
 Sources: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics" (1990), for the joint
 covariance; Bar-Shalom, Li and Kirubarajan (2001), section 5, for the filter; Higdon, "A process-convolution approach to
@@ -48,8 +48,8 @@ from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.joint.calibration_states import begin_with, found
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.joint.map_check import MapCheck
 from cellslam.slam.joint.map_states import Box, Observed, Remembered, map_after
-from cellslam.slam.joint.map_trial import MapTrial
 from cellslam.slam.joint.mixture import KNOWN, Mixture, vt_estimate
 from cellslam.slam.joint.new_filters import LONGEST, MOST_STATES, array_errors, core_of, new_mixture
 from cellslam.slam.joint.sizes import Sizes, growth, sizes_of
@@ -131,14 +131,14 @@ class JointFilter:
         self._scatterers = setup.scatterers if self.options.scatterers is None else self.options.scatterers
         self._core = core_of(self._setup, self._errors, self._drawn_blocks)
         self._past: list[tuple[Interval, Measured]] = []
-        self._beside: tuple[JointFilter, MapTrial] | None = None
-        self._instead: JointFilter | None = None  # the filter without the map, once the map is refused
+        self._beside: tuple[JointFilter, MapCheck] | None = None
+        self._instead: JointFilter | None = None  # the filter without the map, once the map is rejected
         self._misfit: list[str] = []
         if known is not None:
             without = self._alike()
             without.start(replace(setup, map=None), rng)
             without._born = self._born  # so that new VTs have one identity in both
-            self._beside = without, MapTrial(range(len(links), self._born))
+            self._beside = without, MapCheck(range(len(links), self._born))
         self._by_step: dict[int, tuple[Floats, Rules]] = {}
         self._elevation_variance = math.radians(self.options.elevation_std_deg) ** 2
         sites = self._setup.sites
@@ -169,19 +169,19 @@ class JointFilter:
         answer = self._step(dt_s, odometry, snapshot)
         if self._beside is None:
             return answer
-        without, trial = self._beside
+        without, check = self._beside
         other = without.step(dt_s, odometry, snapshot)
-        trial.take(answer, other, self._surprise, resolved=self.resolved, resolved_without=without.resolved)
-        if trial.refused:
-            without._misfit = [trial.refused]
+        check.take(answer, other, self._nis, resolved=self.resolved, resolved_without=without.resolved)
+        if check.rejected:
+            without._misfit = [check.rejected]
             self._instead, self._beside, self._start, self._joint = without, None, None, None
-        elif trial.over:
+        elif check.over:
             self._beside = None
-        return answer if trial.believed else other
+        return answer if check.accepted else other
 
     @property
     def _valid(self) -> JointFilter:
-        """The filter that answers: this one, or that without the map, once the map is refused."""
+        """The filter that answers: this one, or that without the map, once the map is rejected."""
         return self if self._instead is None else self._instead
 
     @property
@@ -190,10 +190,10 @@ class JointFilter:
         return self._valid._joint is not None
 
     @property
-    def _surprise(self) -> Floats:
-        """What the likeliest filters have of `surprise` (2,)."""
+    def _nis(self) -> Floats:
+        """The sums of `learnt.nis` (2,) of the likeliest filters."""
         mixtures = self._start.mixtures if self._start is not None else [self._joint] if self._joint is not None else []
-        return np.asarray(np.sum([mixture.likeliest.learnt.surprise for mixture in mixtures], axis=0))
+        return np.asarray(np.sum([mixture.likeliest.learnt.nis for mixture in mixtures], axis=0))
 
     def _step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         self._time_s += dt_s
@@ -281,7 +281,7 @@ class JointFilter:
         for link, place, std in zip(*self._setup.surveyed, strict=True):
             (ident,), on_link = self._surveyed_idents(np.array([link])), rows[rows[:, 1] == link]
             own = on_link[on_link[:, 0] == ident]
-            if not len(own):  # it has lost its say: its measurements do not fit any place
+            if not len(own):  # it is not confirmed: its measurements do not fit any place
                 continue
             beside = [row[POSITION:SPREAD] for row in on_link if row[0] != ident and hits[row[0]] > hits[ident] - KNOWN]
             moved, left2 = own[0, POSITION:SPREAD] - place, np.diag(own[0, SPREAD:KIND].reshape(3, 3))
@@ -314,7 +314,7 @@ class JointFilter:
         return math.log(self.options.step_probability) if sought else -math.inf
 
     def _map(self, filters: Sequence[tuple[Mixture, int]]) -> VtEstimate | None:
-        """Return the confirmed VTs of some filters of mixtures, with those that had to make room."""
+        """Return the confirmed VTs of some filters of mixtures, with those that were displaced."""
         rows = np.concatenate([*(mixture.vts(i, self.options.confirm_hits) for mixture, i in filters), self._archive])
         known = self._setup.map
         if known is not None:

@@ -34,7 +34,7 @@ class EkfSlamOptions(MeasurementOptions):
     merge_rate: float = Field(
         0.003, ge=0, le=10, description="how often another path merges with that of a VT, 1/s; 0: never"
     )
-    vts: int = Field(100, ge=4, le=2000, description="VTs kept in the joint state; the longest unseen make room")
+    vts: int = Field(100, ge=4, le=2000, description="VTs in the joint state; new ones displace the longest unseen")
     elevation_std_deg: float = Field(
         20.0, gt=0, le=90, description="deviation of a new VT's elevation from the horizon where none is measured, deg"
     )

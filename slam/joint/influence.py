@@ -1,13 +1,13 @@
-"""What each path says of the filters of a mixture, and how much it may.
+"""How far each path may change the weights of the filters of a mixture.
 
 A path over an edge, or one whose azimuth errs because it merges with another, is the image of no wall. It fits one
 wrong clock offset at each of a hundred measurements. As a product their likelihoods would rule out the right offset,
-though all of them are wrong together. So what a path may say has bounds, over its whole life: its measurements are at
+though all of them are wrong together. So its log-likelihood has bounds, over its whole life: its measurements are at
 least as likely as clutter, and at least so likely as in the best filter, but for a factor of exp(-MOST).
 
 A transmitter that was surveyed is where it is: in a filter with a wrong clock offset its line of sight begins another
-VT, which explains the path as well from then on. What that VT explains does not count, and the line of sight may say
-more, exp(-MOST_SURVEYED).
+VT, which explains the path as well from then on. What that VT explains does not count, and the line of sight has a
+wider bound, exp(-MOST_SURVEYED).
 
 Source: bounded influence (Hampel et al., Robust Statistics, 1986); the likelihood is that of three explanations of a
 path, of which the likeliest is taken: the image of a wall, clutter, and something that is neither.
@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.joint.state.layout import IDENT, SURVEYED, WORTH, Filter
+from cellslam.slam.joint.state.layout import IDENT, LOG_RATIO, SURVEYED, Filter
 
 MOST = 6.0  # log-likelihood that a filter may lose by one path, against the best filter of the mixture
 MOST_SURVEYED = 20.0  # by the line of sight of a transmitter whose place is known
@@ -29,17 +29,17 @@ BIRTH = 3.0  # log-likelihood that each VT costs: it counts for more than clutte
 
 @dataclass
 class Influence:
-    """What the paths say of a mixture of K filters: log-ratios `worth` (K, v) of the likelihood of each VT's
+    """The evidence of paths for the K filters of a mixture: `log_ratio` (K, v) of the likelihood of each VT's
     measurements to that of clutter, by its identity (v,) and that of the first VT of its path (v,); and all else that
     is in the log-weights: `rest` (K,)."""
 
     rest: Floats
     ident: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     path: Ints = field(default_factory=lambda: np.empty(0, np.int64))
-    worth: Floats = field(init=False)
+    log_ratio: Floats = field(init=False)
 
     def __post_init__(self) -> None:
-        self.worth = np.empty((len(self.rest), 0))
+        self.log_ratio = np.empty((len(self.rest), 0))
 
     def meet(self, mixture: Filter, association: Ints, born: int, log_weight: Floats) -> None:
         """Take in the VTs that began in a snapshot.
@@ -62,7 +62,7 @@ class Influence:
         self._add(new, path)
 
     def weigh(self, mixture: Filter) -> Floats:
-        """Take in what the VTs are worth at the end of a block, and return the log-weights (K,).
+        """Take in the log-ratios of the VTs at the end of a block, and return the log-weights (K,).
 
         A filter that has lost a VT keeps what it had by it.
         """
@@ -72,14 +72,15 @@ class Influence:
         if len(new):  # of a map
             self._add(new, new)
         at, (row, slot) = np.searchsorted(self.ident, there), np.nonzero(ident >= 0)
-        self.worth[row, at[column]] = 0.0
-        np.add.at(self.worth, (row, at[column]), mixture.vts.anchor[row, slot, WORTH])  # guesses at a VT are several
+        self.log_ratio[row, at[column]] = 0.0
+        # A VT may have several hypotheses.
+        np.add.at(self.log_ratio, (row, at[column]), mixture.vts.anchor[row, slot, LOG_RATIO])
         left = np.isin(self.path, self.path[at])
         surveyed = self._surveyed(mixture)
         beside = np.isin(self.path, surveyed) & ~np.isin(self.ident, surveyed)
-        counted = np.where(beside, 0.0, self.worth)
+        counted = np.where(beside, 0.0, self.log_ratio)
         self.rest = self.rest + bounded(counted[:, ~left], self.path[~left], surveyed)
-        self.ident, self.path, self.worth = self.ident[left], self.path[left], self.worth[:, left]
+        self.ident, self.path, self.log_ratio = self.ident[left], self.path[left], self.log_ratio[:, left]
         return np.asarray(self.rest + bounded(counted[:, left], self.path, surveyed))
 
     def _surveyed(self, mixture: Filter) -> Ints:
@@ -94,26 +95,26 @@ class Influence:
         return np.where(np.arange(most) < count, mixture.vts.slots[: len(count), :most, IDENT], -1)
 
     def _add(self, ident: Ints, path: Ints) -> None:
-        """Give room to VTs (n,) on some paths (n,)."""
+        """Add VTs (n,) on some paths (n,)."""
         order = np.argsort(np.concatenate([self.ident, ident]))
         self.ident = np.concatenate([self.ident, ident])[order]
         self.path = np.concatenate([self.path, path])[order]
-        self.worth = np.pad(self.worth, ((0, 0), (0, len(ident))))[:, order]
+        self.log_ratio = np.pad(self.log_ratio, ((0, 0), (0, len(ident))))[:, order]
 
     def of(self, filters: Ints) -> Influence:
-        """Return what is said of some filters (k,), in their order."""
+        """Return the evidence for some filters (k,), in their order."""
         some = Influence(self.rest[filters], self.ident, self.path)
-        some.worth = self.worth[filters]
+        some.log_ratio = self.log_ratio[filters]
         return some
 
 
-def bounded(worth: Floats, path: Ints, surveyed: Ints) -> Floats:
-    """Return what paths say of each filter (K,), by the log-ratios (K, v) of VTs and their paths (v,).
+def bounded(log_ratio: Floats, path: Ints, surveyed: Ints) -> Floats:
+    """Return the bounded log-likelihoods (K,) of filters, by the log-ratios (K, v) of VTs and their paths (v,).
 
     `surveyed`: the paths of surveyed transmitters.
     """
     paths, column = np.unique(path, return_inverse=True)
-    above = np.zeros((len(paths), len(worth)))
-    np.add.at(above, column, np.maximum(worth - BIRTH, 0.0).T)
+    above = np.zeros((len(paths), len(log_ratio)))
+    np.add.at(above, column, np.maximum(log_ratio - BIRTH, 0.0).T)
     most = np.where(np.isin(paths, surveyed), MOST_SURVEYED, MOST)[:, None]
     return np.asarray(np.maximum(above - above.max(axis=1, keepdims=True), -most).sum(axis=0))

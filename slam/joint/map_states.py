@@ -18,6 +18,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellslam.sim.frames import unit_vector
 from cellslam.sim.recording import Floats, Ints, Links
@@ -27,19 +28,19 @@ from cellslam.slam.joint.state.layout import (
     HITS,
     IDENT,
     KIND,
-    LIGHT,
     LINK,
+    LOG_RATIO,
     MERGED,
     MOST_SCORE,
     POSITION,
+    SCATTERER,
     SCORE,
-    SHARE,
     SPREAD,
     SURVEYED,
     UNSEEN,
     VT,
     VT_STATES,
-    WORTH,
+    WEIGHT,
     Block,
     Filter,
 )
@@ -80,13 +81,13 @@ class Remembered:
         enter = np.flatnonzero(here & (away <= REACH_M) & ~self._inside)
         leave = np.flatnonzero((away > 2.0 * REACH_M) & self._inside)
         self._inside[leave] = False
-        room = max(MOST_NEAR - int(self._inside.sum()), 0)
-        enter = enter[np.argsort(-self.known.hits[enter], kind="stable")][:room]
+        most = max(MOST_NEAR - int(self._inside.sum()), 0)
+        enter = enter[np.argsort(-self.known.hits[enter], kind="stable")][:most]
         self._inside[enter] = True
         return enter, leave
 
     def put_in(self, f: Filter, b: Block, which: Ints, now: int) -> None:
-        """Let VTs (v,) of the map enter a filter that has room for them, as if they had been seen in the snapshot
+        """Let VTs (v,) of the map enter a filter whose arrays can hold them, as if they had been seen in the snapshot
         before `now`."""
         there = set(f.vts.slots[: f.count[0], IDENT].tolist())
         which = which[[self.first_ident + j not in there for j in which.tolist()]]
@@ -106,13 +107,13 @@ class Remembered:
         for n, own in enumerate(by @ known.own_m2[which] @ np.swapaxes(by, 1, 2)):
             f.p[size + 3 * n : size + 3 * n + 3, size + 3 * n : size + 3 * n + 3] += own
         for n, vt in enumerate(which.tolist()):
-            j, places = count + n, size + 3 * n + np.arange(3)
-            f.vts.slots[j] = self.link[vt], known.hits[vt], now - 1, self.first_ident + vt, 1, 0, 0, 0
+            j, at = count + n, size + 3 * n + np.arange(3)
+            f.vts.slots[j] = self.link[vt], known.hits[vt], now - 1, self.first_ident + vt, 1, 0, 0, 0, -1
             f.vts.anchor[j, :3] = known.anchor_m[vt]
-            f.vts.anchor[j, [EXISTS, SHARE]], f.vts.anchor[j, [MERGED, WORTH]] = 1.0, 0.0
+            f.vts.anchor[j, [EXISTS, WEIGHT]], f.vts.anchor[j, [MERGED, LOG_RATIO]] = 1.0, 0.0
             f.vts.anchor[j, SCORE] = MOST_SCORE
-            f.vts.state[j], f.vts.state[j, VT : VT + 3] = -1, places
-            f.owner[places] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
+            f.vts.state[j], f.vts.state[j, VT : VT + 3] = -1, at
+            f.owner[at] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
             f.vts.spread[j] = 0.0
             clear(b, j)
         f.count[0], f.size[0] = count + len(which), size + 3 * len(which)
@@ -148,15 +149,20 @@ class Observed(NamedTuple):
     seen: Mapping[int, Box]
 
 
+def confirmed_images(f: Filter, hits: int) -> NDArray[np.bool_]:
+    """Return which VTs (V,) of a filter are confirmed, with at least so many detections, and mirror images."""
+    slots, anchor = f.vts.slots[: f.count[0]], f.vts.anchor[: f.count[0]]
+    confirmed = (slots[:, HITS] >= hits) & (anchor[:, SCORE] > 0.0)
+    return np.asarray(confirmed & (anchor[:, WEIGHT] > 0.5) & (slots[:, SCATTERER] == 0))
+
+
 def map_after(f: Filter, lost: Floats, observed: Observed, before: Remembered | None, confirm: int) -> VtMap:
-    """Return the map after a drive: VTs that were seen, with `confirm` detections, those that made room, `lost`
-    (E, 15), and those of the map before that were not seen; what was missed too often is left out, and what was
+    """Return the map after a drive: VTs that were seen, with `confirm` detections, those that were displaced,
+    `lost` (E, 15), and those of the map before that were not seen; what was missed too often is left out, and what was
     surveyed, which the next drive knows without the map, and scatterers, which the map has no place for."""
     slots = f.vts.slots[: f.count[0]]
-    share, score = f.vts.anchor[: len(slots), SHARE], f.vts.anchor[: len(slots), SCORE]
-    fit = (slots[:, HITS] >= confirm) & (share > 0.5) & (score > 0.0) & (slots[:, SURVEYED] == 0)
-    fit &= slots[:, LIGHT] <= 0
-    mine = np.flatnonzero(fit & np.isin(slots[:, IDENT], list(observed.seen)))
+    new = confirmed_images(f, confirm) & (slots[:, SURVEYED] == 0)
+    mine = np.flatnonzero(new & np.isin(slots[:, IDENT], list(observed.seen)))
     states = f.vts.state[mine, VT : VT + 3]
     joint = np.concatenate([states.ravel(), np.arange(f.core.first_common, f.core.size)])
     root = _root(f.p[np.ix_(joint, joint)])
@@ -166,7 +172,7 @@ def map_after(f: Filter, lost: Floats, observed: Observed, before: Remembered | 
     common = np.asarray(np.linalg.solve(by, root[: states.size].reshape(len(mine), 3, len(joint))), np.float64)
     seen = _listed(observed, slots[mine, IDENT], slots[mine, LINK], position, anchor, slots[mine, HITS])
     parts = [replace(seen, common_m=common)]
-    parts.append(_made_room(observed, lost, set(slots[mine, IDENT].tolist()), before, confirm, len(joint)))
+    parts.append(_displaced(observed, lost, set(slots[mine, IDENT].tolist()), before, confirm, len(joint)))
     if before is not None:
         ident = before.first_ident + np.arange(len(before.known))
         parts[0] = _continued(parts[0], slots[mine, IDENT] - before.first_ident, before.known)
@@ -192,10 +198,10 @@ def _listed(observed: Observed, ident: Ints, link: Ints, position: Floats, ancho
     )  # fmt: skip
 
 
-def _made_room(
+def _displaced(
     observed: Observed, lost: Floats, there: set[int], before: Remembered | None, confirm: int, common: int
 ) -> VtMap:
-    """Return new VTs that made room for others: of their covariances with the others nothing is left."""
+    """Return new VTs that others displaced: of their covariances with the others nothing is left."""
     ours = range(0) if before is None else range(before.first_ident, before.first_ident + len(before.known))
     ident = lost[:, 0].astype(np.int64)
     new = np.array([i in observed.seen and i not in there and i not in ours for i in ident.tolist()], np.bool_)

@@ -29,20 +29,20 @@ from cellslam.slam.joint.state.layout import (
     FREE,
     HITS,
     IDENT,
+    ILLUMINATOR,
     KIND,
     LAST,
-    LIGHT,
     LINK,
+    LOG_RATIO,
     MERGED,
     MOST_SCORE,
     POSITION,
     SCORE,
-    SHARE,
     SPREAD,
     SURVEYED,
     VT,
     VT_STATES,
-    WORTH,
+    WEIGHT,
     ArrayErrors,
     Block,
     Core,
@@ -60,7 +60,7 @@ NEW_STATES, NEW_VTS = 160, 24  # that a snapshot may bring
 # Bytes of a mixture's covariances. While they grow there are two of them; work space and what the process had before
 # come to as much again: below 2 GB.
 MOST_BYTES = 5e8
-ROOM = 4  # times as many VTs as are kept, where a VT may begin as several guesses
+HYPOTHESES = 4  # times as many VTs as are kept, where a VT may begin as several hypotheses
 KNOWN = 1000  # detections of a VT known before the drive
 NO_ARRAY = np.empty(0)
 
@@ -123,7 +123,7 @@ class Mixture:
     def use(self, errors: ArrayErrors, interval: Interval, measured: Measured, most_vts: int) -> Ints:
         """Move every filter by an interval and use a snapshot; return the associations (K, m).
 
-        Of VTs each keeps so many at most; those that make room stay in `lost` until the next snapshot.
+        Of VTs each keeps so many at most; those that were displaced stay in `lost` until the next snapshot.
         """
         return side_by_side([self], errors, interval, measured, most_vts)[0]
 
@@ -136,15 +136,15 @@ class Mixture:
         if self.blocks.track.snapshots[0, 0] == 0:  # a block has ended
             self.log_weight = self.influence.weigh(self.arrays)
 
-    def make_room(self, measured: Measured, most_vts: int) -> None:
-        """Make room for what a snapshot may bring, VTs of a remembered map among it, as far as memory allows."""
+    def reserve_for(self, measured: Measured, most_vts: int) -> None:
+        """Grow the arrays for what a snapshot may bring, VTs of a remembered map among it, as far as memory allows."""
         if self.remembered is not None:
             self._meet(self.remembered, measured.now)
-        guesses = measured.births.guesses
-        room = most_vts * (ROOM if guesses else 1) - _most_of(self.arrays.count)
-        new, free = NEW_STATES + 3 * guesses, max(self._most_states - _most_of(self.arrays.size), 0)
+        hypotheses = measured.births.hypotheses
+        vts = most_vts * (HYPOTHESES if hypotheses else 1) - _most_of(self.arrays.count)
+        new, free = NEW_STATES + 3 * hypotheses, max(self._most_states - _most_of(self.arrays.size), 0)
         self.full = self.full or free < new
-        self.reserve(min(new, free), min(NEW_VTS + guesses, max(room, 0)))
+        self.reserve(min(new, free), min(NEW_VTS + hypotheses, max(vts, 0)))
         self.arrays.lost.used[:] = 0
 
     def split(self, parents: Ints) -> None:
@@ -157,8 +157,8 @@ class Mixture:
     def share_particles(self, count: int, resample: Callable[[Floats], Ints]) -> None:
         """Give each filter so many particles: of those that it has, `resample` of their weights chooses; the first ones
         are at its mean."""
-        k, rooms, old, b = len(self), len(self.arrays.x), self.arrays.particles, self.blocks
-        deviation, weight = np.zeros((*self.arrays.x.shape, count)), np.full((rooms, count), 1.0 / count)
+        k, capacity, old, b = len(self), len(self.arrays.x), self.arrays.particles, self.blocks
+        deviation, weight = np.zeros((*self.arrays.x.shape, count)), np.full((capacity, count), 1.0 / count)
         poses = np.zeros((*b.track.pose.shape, count))
         for i in range(k if old.weight.shape[1] else 0):
             ancestors = resample(old.weight[i])
@@ -181,7 +181,7 @@ class Mixture:
                 array[target] = array[source]
 
     def _resize(self, filters: int) -> None:
-        """Make room for so many filters, and no more."""
+        """Let the arrays hold so many filters, and no more."""
         old, more = self.arrays, filters - len(self.arrays.x)
         p = _covariances(old, filters, len(old.x[0]))
         self.arrays = _padded(old._replace(p=NO_ARRAY), more, 0)._replace(p=p)
@@ -190,21 +190,21 @@ class Mixture:
     def keep(self, kept: Ints) -> None:
         """Keep the filters `kept` (k,), and no others, in the order in which they are."""
         kept = np.sort(kept)
-        for place, k in enumerate(kept.tolist()):
-            if place != k:
-                self._copy(k, place)
+        for to, k in enumerate(kept.tolist()):
+            if to != k:
+                self._copy(k, to)
         self.log_weight, self.influence = self.log_weight[kept], self.influence.of(kept)
         if 2 * len(kept) < len(self.arrays.x):
             self._resize(len(kept))
 
     @property
     def _most_states(self) -> int:
-        """How many states each filter has room for."""
+        """How many states each filter can hold."""
         return int(math.sqrt(MOST_BYTES / 8.0 / len(self.arrays.x)))
 
     def reserve(self, states: int, vts: int) -> None:
-        """Grow the arrays to have room for so many more states and VTs."""
-        arrays, width, places = self.arrays, len(self.arrays.x[0]), len(self.arrays.vts.slots[0])
+        """Grow the arrays to hold so many more states and VTs."""
+        arrays, width, vts_at_most = self.arrays, len(self.arrays.x[0]), len(self.arrays.vts.slots[0])
         if _most_of(arrays.size) + states > width:
             more = max(min(width // 2, self._most_states - width), states)
             arrays = arrays._replace(
@@ -212,13 +212,13 @@ class Mixture:
                 p=_covariances(arrays, len(arrays.x), width + more),
                 particles=arrays.particles._replace(deviation=_padded(arrays.particles.deviation, more, 1)),
             )  # fmt: skip
-        if _most_of(arrays.count) + vts > places:
-            more = max(places // 2, vts)
+        if _most_of(arrays.count) + vts > vts_at_most:
+            more = max(vts_at_most // 2, vts)
             arrays = arrays._replace(vts=_padded(arrays.vts, more, 1))
             self.blocks = self.blocks._replace(sums=_padded(self.blocks.sums, more, 1))
         self.arrays = arrays
 
-    def shares(self) -> Floats:
+    def weights(self) -> Floats:
         """Return the weights (K,), which sum to one."""
         weight = np.exp(self.log_weight - self.log_weight.max())
         return np.asarray(weight / weight.sum())
@@ -232,12 +232,12 @@ class Mixture:
         self.reserve(3 * len(link), len(link))
         f, first = self.arrays, self.core.size
         here = f.x[0, :3].copy()
-        f.count[:], f.size[:], f.lights[:, link] = len(link), first + 3 * len(link), 1 + np.arange(len(link))
+        f.count[:], f.size[:], f.illuminators[:, link] = len(link), first + 3 * len(link), np.arange(len(link))
         for j, offset in enumerate(position_m - here):
-            f.vts.slots[:, j, [LINK, HITS, LAST, IDENT, SURVEYED]] = link[j], KNOWN, last, ident[j], 1
+            f.vts.slots[:, j, [LINK, HITS, LAST, IDENT, SURVEYED, ILLUMINATOR]] = link[j], KNOWN, last, ident[j], 1, -1
             f.vts.anchor[:, j, :3] = here
-            f.vts.anchor[:, j, [EXISTS, SHARE]], f.vts.anchor[:, j, [MERGED, WORTH]] = 1.0, 0.0
-            f.vts.anchor[:, j, SCORE], f.vts.slots[:, j, LIGHT] = MOST_SCORE, 0
+            f.vts.anchor[:, j, [EXISTS, WEIGHT]], f.vts.anchor[:, j, [MERGED, LOG_RATIO]] = 1.0, 0.0
+            f.vts.anchor[:, j, SCORE] = MOST_SCORE
             at = first + 3 * j + np.arange(3)
             f.vts.state[:, j], f.vts.state[:, j, VT : VT + 3] = -1, at
             f.owner[:, at] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
@@ -266,7 +266,7 @@ class Mixture:
         core, k = slice(0, self.core.offsets.stop), len(self)
         if k == 1:
             return self.arrays.x[0, core].copy(), self.covariances(core)[0].copy()
-        return mixture_moments(self.shares(), self.arrays.x[:k, core], self.covariances(core))
+        return mixture_moments(self.weights(), self.arrays.x[:k, core], self.covariances(core))
 
     def covariances(self, of: slice) -> Floats:
         """Return the covariances (K, n, n) of some states in each filter, with those of its particles' means."""
@@ -302,11 +302,11 @@ class Mixture:
         return differing(self.arrays.x[:, of], self.covariances(of), log_odds, likely)
 
     def lost(self, index: int) -> Floats:
-        """Return the confirmed VTs (v, 15) of one filter that made room in the last snapshot, as `vts` does."""
+        """Return the confirmed VTs (v, 15) of one filter that were displaced in the last snapshot, as `vts` does."""
         return self.arrays.lost.rows[index, : int(self.arrays.lost.used[index, 0])]
 
     def vts(self, index: int, hits: int) -> Floats:
-        """Return the VTs (v, 15) of a filter that have a say, with at least `hits` detections, as `map_of` does."""
+        """Return the confirmed VTs (v, 15) of a filter, with at least `hits` detections, as `map_of` does."""
         return map_of(self.arrays, index, hits)
 
 
@@ -318,7 +318,7 @@ def side_by_side(
     associations = [np.full((len(mixture), len(measured.z)), -1) for mixture in mixtures]
     works = []
     for mixture, association in zip(mixtures, associations, strict=True):
-        mixture.make_room(measured, most_vts)
+        mixture.reserve_for(measured, most_vts)
         at = mixture.arrays, errors, mixture.blocks, interval, measured, association, mixture.influence.rest
         works.append(partial(advance_mixture, *at))
     together(works, [len(mixture) for mixture in mixtures])
@@ -348,7 +348,7 @@ def _arrays(tables: Any) -> Iterator[Any]:
 
 
 def _covariances(old: Filter, filters: int, states: int) -> Floats:
-    """Return the covariances with room for so many filters and states; memory that is not used is not touched."""
+    """Return the covariances in arrays for so many filters and states; memory that is not used is not touched."""
     p = np.zeros((filters, states, states))
     for k, n in enumerate(old.size[:filters, 0].tolist()):
         p[k, :n, :n] = old.p[k, :n, :n]

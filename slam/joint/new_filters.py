@@ -18,9 +18,9 @@ from cellslam.slam.joint.state.layout import (
     NOBODY,
     POSE,
     SCORE,
-    SHARE,
     SLOT,
     VT_STATES,
+    WEIGHT,
     ArrayErrors,
     Block,
     Core,
@@ -36,7 +36,7 @@ from cellslam.slam.joint.state.layout import (
 from cellslam.slam.model.field_kernel import grid
 
 LONGEST = 16  # snapshots in a block at most
-STATES, VTS = 256, 48  # room of a new filter
+STATES, VTS = 256, 48  # that a new filter can hold
 MOST_STATES = 2040  # that a filter of all sites has, as a rule: memory that is not used costs nothing
 LOST = 64  # confirmed VTs that one block can push out
 # Spacing of cells and reach of bells, in scales. Correlations are right to 0.06 on the coarse grid, to 0.01 on the fine
@@ -81,22 +81,22 @@ def core_of(setup: Setup, errors: ArrayErrors, drawn: int = 0) -> Core:
     """Return the layout of the states that are always there; `drawn`: blocks of which the noise is a state."""
     model, sites, end = setup.odometry_model, setup.sites, POSE
 
-    def places(there: ArrayLike) -> Ints:
-        """Return the next places for the states that there are, -1 for the others."""
+    def indices(there: ArrayLike) -> Ints:
+        """Return the next indices for the states that there are, -1 for the others."""
         nonlocal end
         number = np.cumsum(np.asarray(there, np.bool_))
         out = np.where(there, end - 1 + number, -1)
         end += int(number[-1]) if len(number) else 0
         return out
 
-    sway, ground = places(np.full(3, errors.sway.any())), int(places([errors.ground > 0.0])[0])
-    range_scale = int(places([setup.range_scale_std > 0.0])[0])
-    bias = places((model.bias > 0.0) | (model.bias_walk_density > 0.0))
-    scale, noise = places(model.scale != 0.0), places(model.noise_density != 0.0)
+    sway, ground = indices(np.full(3, errors.sway.any())), int(indices([errors.ground > 0.0])[0])
+    range_scale = int(indices([setup.range_scale_std > 0.0])[0])
+    bias = indices((model.bias > 0.0) | (model.bias_walk_density > 0.0))
+    scale, noise = indices(model.scale != 0.0), indices(model.noise_density != 0.0)
     first_offset, wander = end, sites.walk_densities
-    places(np.ones(len(sites), np.bool_))
-    rate = places((sites.drift_std_m_s > 0.0) | (wander[1] > 0.0))
-    sums = np.array([places(noise >= 0) for _ in range(drawn)], np.int64).reshape(drawn, POSE)
+    indices(np.ones(len(sites), np.bool_))
+    rate = indices((sites.drift_std_m_s > 0.0) | (wander[1] > 0.0))
+    sums = np.array([indices(noise >= 0) for _ in range(drawn)], np.int64).reshape(drawn, POSE)
     step_m = np.array(sites.step_std_m)  # one that can be written: for others the kernels would be compiled again
     common = 0 if setup.map is None else setup.map.common_m.shape[2]
     return Core(
@@ -136,16 +136,16 @@ def new_mixture(
         for std, grid in ((errors.calibration, errors.calibration_grid), (errors.roof, errors.roof_grid))
     )
     anchor = np.zeros((k, vts, ANCHOR))
-    anchor[:, :, SHARE], anchor[:, :, SCORE] = 1.0, MOST_SCORE
-    places, slots = np.full((k, vts, VT_STATES), -1), np.zeros((k, vts, SLOT), whole)
+    anchor[:, :, WEIGHT], anchor[:, :, SCORE] = 1.0, MOST_SCORE
+    state, slots = np.full((k, vts, VT_STATES), -1), np.zeros((k, vts, SLOT), whole)
     arrays = Filter(
         core=core, x=x, p=p, size=np.full((k, 1), core.size), owner=np.full((k, states), NOBODY),
         count=np.zeros((k, 1), whole), links=np.ones((k, len(setup.links)), whole),
-        lights=np.zeros((k, len(setup.links)), whole),
-        fields=FieldWeights(place=np.full((k, weights), -1), met=np.zeros((k, weights), whole)),
-        vts=Vts(state=places, anchor=anchor, slots=slots, spread=np.zeros((k, vts, 6))),
+        illuminators=np.full((k, len(setup.links)), -1),
+        fields=FieldWeights(state=np.full((k, weights), -1), met=np.zeros((k, weights), whole)),
+        vts=Vts(state=state, anchor=anchor, slots=slots, spread=np.zeros((k, vts, 6))),
         lost=Lost(rows=np.zeros((k, LOST, ENTRY)), used=np.zeros((k, 1), whole)),
-        learnt=Learnt(sizes=np.zeros((k, 3, SIZES)), summed=np.zeros((k, 1)), surprise=np.zeros((k, 2))),
+        learnt=Learnt(sizes=np.zeros((k, 3, SIZES)), summed=np.zeros((k, 1)), nis=np.zeros((k, 2))),
         particles=Particles(deviation=np.zeros((k, states, 0)), weight=np.zeros((k, 0))),
     )  # fmt: skip
     track = Track(

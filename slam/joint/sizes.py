@@ -114,9 +114,9 @@ def growth(mixture: Mixture) -> float:
 
     Diffuse energy moves distance, azimuth and elevation: distances, which merged paths hardly move, speak for all.
     """
-    share = mixture.shares()
+    weight = mixture.weights()
     slope, information, _ = mixture.likeliest.learnt.sizes[:, DIFFUSE_SIZE].tolist()
-    factor = max(_surely(slope, information), 1.0) if information > 0.0 and share.max() > 0.5 else 1.0
+    factor = max(_surely(slope, information), 1.0) if information > 0.0 and weight.max() > 0.5 else 1.0
     if factor > 1.0:
         mixture.arrays.learnt.sizes[:, :, DIFFUSE] = mixture.arrays.learnt.sizes[:, 2, :DIFFUSE_SIZE] = 0.0
     return factor
@@ -129,8 +129,8 @@ def sizes_of(mixture: Mixture, errors: ArrayErrors, noise: Floats, grown: float)
     """
     f, core = mixture.likeliest, mixture.core
     f = f._replace(learnt=f.learnt._replace(sizes=f.learnt.sizes.copy()))
-    for place in np.flatnonzero(f.owner[: f.size[0]] >= 0):
-        count_weight(f, errors, int(place))
+    for index in np.flatnonzero(f.owner[: f.size[0]] >= 0):
+        count_weight(f, errors, int(index))
     count_states(f, core.noise, ODOMETRY, noise**2 * f.learnt.summed[0])
 
     def squares(of: Ints) -> Floats:

@@ -35,7 +35,7 @@ KNOWN_M2 = 1e-6  # variance of a place, or heading, that is known
 RETURN_LOG_ODDS = -4.0  # from which on a VT unseen for a while may be the one that is seen
 GATE = 16.3  # squared Mahalanobis distance, chi-square of three: one of a thousand that are right is beyond it
 SHORTER = 40  # weights of the roof leave so many times sooner than after the start: a filter for each component
-START_STATES = 440  # room of a filter: memory that is not used costs nothing; growing does, and rows 4096 bytes apart
+START_STATES = 440  # of a filter: memory that is not used costs nothing; growing does, and rows 4096 bytes apart
 
 
 def width_of_components(std_m: Floats, options: EkfSlamOptions) -> float:
@@ -148,11 +148,11 @@ class Start:
         return np.array([[mean for mean, _ in one] for one in found])
 
     def _likely(self) -> list[list[tuple[float, float]]]:
-        """Return the offsets, in m, of the likely components of each site, and the logarithms of their shares."""
+        """Return the offsets, in m, of the likely components of each site, and the logarithms of their weights."""
         likely = []
         for site, mixture in enumerate(self.mixtures):
-            mean, share = mixture.arrays.x[: len(mixture), self.core.first_offset + site], mixture.shares()
-            likely.append([(float(mean[i]), math.log(share[i])) for i in np.flatnonzero(share >= LEAST * share.max())])
+            mean, w = mixture.arrays.x[: len(mixture), self.core.first_offset + site], mixture.weights()
+            likely.append([(float(mean[i]), math.log(w[i])) for i in np.flatnonzero(w >= LEAST * w.max())])
         return likely
 
 

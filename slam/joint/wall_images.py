@@ -8,7 +8,7 @@ Which images are in one wall. The planes that mirror two sites to two VTs differ
 place between their visible parts. With H its Jacobian by the state, P the covariance and R how flat facades are, the
 log-odds of one wall are
 
-    log N(e; 0, S) + log ROOM,    S = H P H^T + R        if they are not one, they differ by anything within ROOM
+    log N(e; 0, S) + log AREA,    S = H P H^T + R        if they are not one, they differ by anything within AREA
 
 What is believed is imposed once, as a measurement of e = 0 with the covariance R (an iterated update): the joint filter
 then is one whose landmark is the wall.
@@ -37,8 +37,9 @@ import numpy as np
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.joint.map_states import confirmed_images
 from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
-from cellslam.slam.joint.state.layout import HITS, IDENT, LIGHT, LINK, SCORE, SHARE, SURVEYED, VT, Filter
+from cellslam.slam.joint.state.layout import HITS, IDENT, LINK, SURVEYED, VT, Filter
 from cellslam.slam.model.walls import image_in_wall, mirror_plane, normals, quarter_turned, reflection_point
 
 SITE_M = 15.0  # a VT this near to its site is the site once more
@@ -47,14 +48,14 @@ FEWEST_IMAGES, FEWEST_PLACES = 3, 60  # images and places that tell which VT is 
 MOST_FARTHER = 0.01  # share of the places at which it may be farther all the same
 
 # Walls that are next to each other differ by 90 degrees and 25 m either way, if they differ: uniform, in rad m.
-ROOM = math.pi * 50.0
+AREA = math.pi * 50.0
 RIVAL = 3.0  # log-odds by which a pair must be likelier than another one of either image
 GATE = 9.0  # squared Mahalanobis distance of what may be one
 ITERATIONS = 3  # of the update that imposes it
-TURNED = 0.5  # walls whose directions differ by more than this, in rad, are not looked at
+TURNED = 0.5  # walls whose directions differ by more than this, in rad, are not compared
 
-NEAR_M = 15.0  # a VT farther than this from an image's image is not looked at
-ROOM_M2 = 50.0**2  # over which VTs near one are, if it is not their place
+NEAR_M = 15.0  # a VT farther than this from an image's image is not compared
+AREA_M2 = 50.0**2  # over which VTs near one are, if it is not their place
 BY_CHANCE = 0.02  # share of the triples that are of something else whose paths meet both walls all the same
 MOST = 0.5  # of the places from which a VT was seen
 
@@ -72,7 +73,7 @@ class Image(NamedTuple):
     points: Floats
 
 
-def place_of(f: Filter, slots: Ints) -> tuple[Floats, Floats]:
+def position_of(f: Filter, slots: Ints) -> tuple[Floats, Floats]:
     """Return where VTs are, seen from above, (n, 2) in m, and its Jacobians (n, 2, 3) by range, azimuth, elevation."""
     away, azimuth, elevation = f.x[f.vts.state[slots, VT : VT + 3]].T[:, :, None]
     across, along = normals(azimuth[:, 0])
@@ -85,21 +86,19 @@ def ends_of(f: Filter, images: Sequence[Image]) -> tuple[Floats, Floats, Ints]:
     """Return site and VT of each image, seen from above, (n, 2, 2) in m, their Jacobians (n, 2, 2, 3), and the states
     (n, 6) that these are by."""
     slots = np.array([(image.site, image.vt) for image in images], np.int64).reshape(-1, 2)
-    place, by = place_of(f, slots.ravel())
+    place, by = position_of(f, slots.ravel())
     return place.reshape(-1, 2, 2), by.reshape(-1, 2, 2, 3), f.vts.state[slots, VT : VT + 3].reshape(-1, 6)
 
 
 def images_of(f: Filter, seen: Places, hits: int) -> list[Image]:
     """Return the images among a filter's VTs with so many detections, on links whose site is among them."""
-    anchor, mirrored = f.vts.anchor[: f.count[0]], f.vts.slots[: f.count[0], LIGHT] <= 0
-    fit = (f.vts.slots[: f.count[0], HITS] >= hits) & (anchor[:, SHARE] > 0.5) & (anchor[:, SCORE] > 0.0) & mirrored
-    slots = np.flatnonzero(fit)
+    slots = np.flatnonzero(confirmed_images(f, hits))
     surveyed = f.vts.slots[slots, SURVEYED] == 1  # seen or not
     slots = slots[surveyed | np.isin(f.vts.slots[slots, IDENT], list(seen))]
     found = list[Image]()
     for link in np.unique(f.vts.slots[slots, LINK]):
         mine = slots[f.vts.slots[slots, LINK] == link]
-        position = place_of(f, mine)[0]
+        position = position_of(f, mine)[0]
         places = [seen.get(ident, np.empty((0, 2))) for ident in f.vts.slots[mine, IDENT].tolist()]
         known = np.flatnonzero(f.vts.slots[mine, SURVEYED] == 1)
         site = int(known[0]) if len(known) else _site(position, places, f.vts.slots[mine, HITS])
@@ -134,16 +133,16 @@ class Gap(NamedTuple):
     by: Floats
 
 
-def log_odds(f: Filter, gap: Gap, spread: Floats, room: float) -> float:
+def log_odds(f: Filter, gap: Gap, spread: Floats, area: float) -> float:
     """Return the log-odds that two things are one, of a gap with the variance `spread` (2, 2); -inf beyond the gate.
 
-    room: area, in the gap's units, over which two things differ, if they are not one.
+    area: in the gap's units, over which two things differ, if they are not one.
     """
     s = gap.by @ f.p[np.ix_(gap.at, gap.at)] @ gap.by.T + spread
     distance2 = float(gap.value @ np.linalg.solve(s, gap.value))
     if distance2 > GATE:
         return -math.inf
-    return -0.5 * distance2 - 0.5 * math.log(np.linalg.det(s)) - math.log(2.0 * math.pi) + math.log(room)
+    return -0.5 * distance2 - 0.5 * math.log(np.linalg.det(s)) - math.log(2.0 * math.pi) + math.log(area)
 
 
 def impose(f: Filter, measure: Callable[[Filter], Gap], spread: Floats) -> None:
@@ -219,7 +218,7 @@ def best_pair(f: Filter, images: list[Image], wall: Ints, flat: Flatness, odds: 
     score = np.full((len(images), len(images)), -math.inf)
     for i, j in combinations(range(len(images)), 2):
         if wall[i] != wall[j] and _next_to_each_other(images[i], images[j], flat.gap):
-            score[i, j] = score[j, i] = log_odds(f, apart(f, images[i], images[j]), flat.covariance, ROOM)
+            score[i, j] = score[j, i] = log_odds(f, apart(f, images[i], images[j]), flat.covariance, AREA)
     for flatly in np.argsort(-np.triu(score, 1), axis=None, kind="stable"):
         i, j = divmod(int(flatly), len(images))
         if i >= j or score[i, j] < odds:
@@ -260,7 +259,7 @@ def likeliest_double(
         mine = [image for image in images if image.site == site]
         for double in _near(f, site, mine):
             places = seen[double.vt.ident]
-            likely = log_odds(f, off(f, double), _spread(f, double, places, flat), ROOM_M2) - math.log(BY_CHANCE)
+            likely = log_odds(f, off(f, double), _spread(f, double, places, flat), AREA_M2) - math.log(BY_CHANCE)
             if likely > best and _meets_both(f, double, places, flat.gap):
                 best, answer = likely, double
     return answer
@@ -274,7 +273,7 @@ def impose_double(f: Filter, double: Double, seen: Places, flat: Flatness) -> No
 def off(f: Filter, double: Double) -> Gap:
     """Return by what the image's image is off its VT, in m."""
     slots = np.array([double.vt.site, double.second.vt, double.first.vt, double.vt.vt])
-    (site, second, first, vt), by = place_of(f, slots)
+    (site, second, first, vt), by = position_of(f, slots)
     image, by_ends = image_in_wall(site, second, first)
     by_places = np.concatenate([by_ends, -np.eye(2)], axis=1).reshape(2, 4, 2)
     by_states = np.einsum("apc,pci->api", by_places, by).reshape(2, 12)
@@ -283,7 +282,7 @@ def off(f: Filter, double: Double) -> Gap:
 
 def _near(f: Filter, site: int, images: Sequence[Image]) -> list[Double]:
     """Return the triples of a site's images of which one is near the image of another in the wall of the third."""
-    places = place_of(f, np.array([*(image.vt for image in images), site]))[0]
+    places = position_of(f, np.array([*(image.vt for image in images), site]))[0]
     p, v = places[-1], places[:-1]
     across = (v - p) / np.linalg.norm(v - p, axis=1, keepdims=True)
     behind = ((v - 0.5 * (p + v[:, None])) * across[:, None]).sum(axis=-1)  # second, first
@@ -297,7 +296,7 @@ def _near(f: Filter, site: int, images: Sequence[Image]) -> list[Double]:
 def _spread(f: Filter, double: Double, places: Floats, flat: Flatness) -> Floats:
     """Return the covariance (2, 2) in m^2 of what parts of two walls may be turned and set off: an image moves by twice
     of that."""
-    offset = place_of(f, np.array([double.vt.vt]))[0][0] - places.mean(axis=0)
+    offset = position_of(f, np.array([double.vt.vt]))[0][0] - places.mean(axis=0)
     across = quarter_turned(offset)
     return np.asarray(8.0 * (flat.off**2 * np.eye(2) + flat.turned**2 * np.outer(across, across)))
 
@@ -305,7 +304,7 @@ def _spread(f: Filter, double: Double, places: Floats, flat: Flatness) -> Floats
 def _meets_both(f: Filter, double: Double, places: Floats, gap: float) -> bool:
     """Return whether paths from the VT meet both walls within their visible parts, and are longer than those over the
     first wall alone, from most of the places from which it was seen."""
-    site, first, vt = place_of(f, np.array([double.vt.site, double.first.vt, double.vt.vt]))[0]
+    site, first, vt = position_of(f, np.array([double.vt.site, double.first.vt, double.vt.vt]))[0]
     later = reflection_point(first, vt, places)
     earlier = reflection_point(site, first, later)
     meets = np.linalg.norm(places - vt, axis=1) > np.linalg.norm(places - first, axis=1)

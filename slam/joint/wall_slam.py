@@ -4,7 +4,7 @@ State, prediction, update and weight are those of EKF-SLAM (ekf_slam.py). Betwee
     sites       of a link's VTs the one that is nearest from where the others were seen    wall_images.py: images_of
     walls       the plane that mirrors site p to image v: azimuth of v - p, distance of (v + p) / 2 along it
                                                                                            wall_images.py: planes_of
-    one wall?   e = difference of two planes, S = H P H^T + R: log N(e; 0, S) + log ROOM >= log join_odds
+    one wall?   e = difference of two planes, S = H P H^T + R: log N(e; 0, S) + log AREA >= log join_odds
                                                                                            best_pair
     if so       a measurement e = 0 with covariance R updates the state, once                 impose
     two walls?  e = image of an image in a second wall - v, judged and imposed alike          wall_images.py

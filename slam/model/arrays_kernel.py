@@ -1,4 +1,4 @@
-"""Compiled: copies of arrays, and P <- P - G^T G, what many measurements take off a covariance at once.
+"""Compiled: copies of arrays, sums of logarithms, and P <- P - G^T G: what many measurements take off a covariance.
 
 Source: rank-k update of a symmetric matrix (SYRK) of Dongarra et al., "A set of level 3 basic linear algebra
 subprograms", ACM Trans. Mathematical Software 16(1), 1990.
@@ -6,6 +6,7 @@ subprograms", ACM Trans. Mathematical Software 16(1), 1990.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from cellslam.sim.compiling import lean
@@ -59,3 +60,9 @@ def downdate(p: Floats, n: int, g: Floats, k: int) -> None:
                 row[x] -= a0 * g0[x] + a1 * g1[x] + a2 * g2[x] + a3 * g3[x]
         for x in range(i):
             p[x, i] = row[x]
+
+
+@lean
+def log_sum(a: float, b: float) -> float:
+    """Return log(exp(a) + exp(b)), one of which is finite."""
+    return max(a, b) + math.log1p(math.exp(-abs(a - b)))

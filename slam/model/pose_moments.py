@@ -43,10 +43,10 @@ def known_together(p: Floats, prior: Floats) -> Floats:
     knows less than the prior, what it lacks counts for one part in K: so the sum stays positive, and one estimate alone
     keeps its own covariance.
     """
-    room = TINY * np.eye(len(prior))
-    root = np.linalg.cholesky(prior + room)
+    jitter = TINY * np.eye(len(prior))
+    root = np.linalg.cholesky(prior + jitter)
     whiten = np.linalg.inv(root)
-    share, axes = np.linalg.eigh(whiten @ (p + room) @ whiten.T)  # of the prior's variance, what is left of it
+    share, axes = np.linalg.eigh(whiten @ (p + jitter) @ whiten.T)  # of the prior's variance, what is left of it
     gain = 1.0 / np.maximum(share, TINY) - 1.0
     gain = np.where(gain < 0.0, gain / len(p), gain)
     information = np.eye(len(prior)) + np.einsum("kij,kj,klj->il", axes, gain, axes)

@@ -9,8 +9,8 @@ import pytest
 from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
 from cellslam.slam.api import Setup
 from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
-from cellslam.slam.joint.snapshot.sight_kernel import coordinates, errors_of, geometry, rotations_of
-from cellslam.slam.joint.snapshot.snapshot_kernel import PENDING, new_room
+from cellslam.slam.joint.snapshot.observation_kernel import coordinates, errors_of, geometry, rotations_of
+from cellslam.slam.joint.snapshot.snapshot_kernel import PENDING, new_workspace
 from cellslam.slam.joint.snapshot.update_kernel import BlockMeasurement
 from cellslam.slam.joint.state import layout
 from cellslam.slam.joint.state.layout import FREE, Measured, Rules, block_of, one_of
@@ -44,7 +44,7 @@ class OneFilter:
         self.f, self.block = one_of(self.mixture.arrays, 0), block_of(self.mixture.blocks, 0)
         if scale is not None:
             self.f.x[self.f.core.range_scale] = scale
-        self.offset, self.w = self.mixture.core.first_offset, new_room(self.f, 12, PENDING)
+        self.offset, self.w = self.mixture.core.first_offset, new_workspace(self.f, 12, PENDING)
         self.w.pending.rows[:], self.w.pending.t[:] = np.nan, np.nan
 
     @property
@@ -59,7 +59,7 @@ class OneFilter:
             self.f.vts.state[j] = -1
             for c in range(3):
                 self.f.x[enter(self.f, owner_of(j, c, self.f.vts.state.shape[1]), 1.0)] = vt[c]
-            self.f.vts.anchor[j, :3] = anchor
+            self.f.vts.anchor[j, :3], self.f.vts.slots[j, layout.ILLUMINATOR] = anchor, -1
         self.f.count[0] = len(vts)
 
     def spread(self, root: Floats) -> Floats:
@@ -69,7 +69,7 @@ class OneFilter:
 
     def model(self, j: int) -> tuple[Floats, Floats]:
         """Return what is expected of a measurement of VT j (3,), and its whole Jacobian H (3, n)."""
-        f, s = self.f, self.w.sight
+        f, s = self.f, self.w.jacobian
         h = geometry(f, j, self.offset, Vec3(*f.x[:3]), rotations_of(f), coordinates(f, j), s)
         errors = errors_of(f, self.errors, j, h, 1.0, 1.0, NOW, s)
         whole = np.zeros((3, self.n))

@@ -1,4 +1,4 @@
-"""EKF-SLAM on recordings that lack a component: guesses of a VT, and drives of the simulator with columns removed."""
+"""EKF-SLAM on recordings that lack a component: hypotheses of a VT; drives of the simulator with columns removed."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
 from cellslam.slam.joint.new_filters import NO_ERRORS
 from cellslam.slam.joint.snapshot.birth_kernel import begin, tidy
-from cellslam.slam.joint.snapshot.trial_kernel import LEAST, _unite, consider, try_out
+from cellslam.slam.joint.snapshot.tentative_kernel import LEAST_WEIGHT, _prune, consider, update_hypotheses
 from cellslam.slam.joint.snapshot.update_kernel import add_up, compare, correct, innovate
-from cellslam.slam.joint.state.layout import SHARE, Births
+from cellslam.slam.joint.state.layout import WEIGHT, Births
 from cellslam.slam.model.measurement_model import predict
 
 VT, Q = np.array([60.0, 45.0, 12.0]), np.array([0.01, 1e-4, 1e-4])
@@ -34,11 +34,11 @@ def see(one: Any, now: int, pose: Any, z: Any) -> None:
         flat = np.isnan(z[2])
         first = np.array([*z[:2], 0.0]) if flat else z, np.array([*Q[:2], 0.1]) if flat else Q
         seen = seen._replace(births=Births(first[0][None], first[1][None], 0))
-        begin(f, NO_ERRORS, one.block, seen, 0, 1, 0, w.sight, w.pending)
+        begin(f, NO_ERRORS, one.block, seen, 0, 1, 0, w.jacobian, w.pending)
         return
-    j = int(np.argmax(f.vts.anchor[: f.count[0], SHARE]))
-    use = try_out if f.vts.anchor[j, SHARE] < 1.0 else correct
-    use(f, NO_ERRORS, j, 6, one.measurement(z, Q), 1.0, one.rules, w.sight, w.pending)
+    j = int(np.argmax(f.vts.anchor[: f.count[0], WEIGHT]))
+    use = update_hypotheses if f.vts.anchor[j, WEIGHT] < 1.0 else correct
+    use(f, NO_ERRORS, j, 6, one.measurement(z, Q), 1.0, one.rules, w.jacobian, w.pending)
     add_up(f, w.pending)
     tidy(f, NO_ERRORS, one.block, now, one.rules)
 
@@ -56,16 +56,16 @@ def test_a_vt_is_found_though_a_component_is_never_measured(missing: list[int], 
         z = predict(pose, VT) + np.sqrt(Q) * rng.standard_normal(3)
         z[missing] = np.nan
         see(one, now, pose, z)
-        assert one.f.vts.anchor[: one.f.count[0], SHARE].sum() == pytest.approx(1.0)
-    best = int(np.argmax(one.f.vts.anchor[: one.f.count[0], SHARE]))
-    assert one.f.vts.anchor[best, SHARE] > 0.99
+        assert one.f.vts.anchor[: one.f.count[0], WEIGHT].sum() == pytest.approx(1.0)
+    best = int(np.argmax(one.f.vts.anchor[: one.f.count[0], WEIGHT]))
+    assert one.f.vts.anchor[best, WEIGHT] > 0.99
     assert np.linalg.norm(one.place(best)[:2] - VT[:2]) < 2.0
     if len(missing) == 1 and 2 not in missing:
         assert np.linalg.norm(one.place(best) - VT) < 3.0
 
 
 def test_on_a_straight_street_two_sides_remain(one_filter: Any) -> None:
-    """Distances do not tell left from right: both guesses stay, mirrored, and the vehicle is not moved by either."""
+    """Distances do not tell left from right: both hypotheses stay, mirrored, and the vehicle is not moved by either."""
     one = one_filter(confirm=0)
     one.f.p[[0, 1], [0, 1]] = 0.01
     before = one.f.p[:7, :7].copy()
@@ -80,7 +80,7 @@ def test_on_a_straight_street_two_sides_remain(one_filter: Any) -> None:
     assert abs(left[1]) == pytest.approx(np.hypot(*VT[1:]), rel=0.1)
 
 
-def test_guesses_are_corrected_as_a_schmidt_filter_does(one_filter: Any) -> None:
+def test_hypotheses_are_corrected_as_a_schmidt_filter_does(one_filter: Any) -> None:
     one = one_filter()
     one.put([3.0, -2.0, 1.5, 0.7, 0.1, -0.2], 5.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1])
     p = one.spread(np.random.default_rng(1).normal(size=(13, 13)) * 0.02)
@@ -90,21 +90,21 @@ def test_guesses_are_corrected_as_a_schmidt_filter_does(one_filter: Any) -> None
     gain[np.r_[:7, 10:13]] = 0.0
     left = np.eye(13) - gain @ h
     measurement = one.measurement(expected + e + [0.0, 2.0 * np.pi, 0.0], q)
-    given, hph = compare(one.f, NO_ERRORS, 0, 6, measurement, one.w.sight, one.w.pending)
+    given, hph = compare(one.f, NO_ERRORS, 0, 6, measurement, one.w.jacobian, one.w.pending)
     consider(one.f, 0, innovate(given, q, hph), given, one.w.pending)
     add_up(one.f, one.w.pending)
     np.testing.assert_allclose(one.f.x[:13], x + gain @ e, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(one.f.p[:13, :13], left @ p @ left.T + (gain * q) @ gain.T, rtol=1e-7, atol=1e-12)
 
 
-def test_guesses_that_agree_are_one_also_behind_the_array(one_filter: Any) -> None:
+def test_hypotheses_that_agree_are_one_also_behind_the_array(one_filter: Any) -> None:
     one = one_filter()
     one.put(np.zeros(6), 0.0, [50.0, 3.1, 0.0], [50.0, -3.1, 0.0], [50.0, 1.0, 0.0], [50.0, 2.0, 0.0])
     one.spread(np.sqrt(0.1) * np.eye(19))
-    share = one.f.vts.anchor[:4, SHARE]
-    share[:] = [0.6, 0.4, 1.0, 0.1 * LEAST]
-    assert _unite(one.f, 0, 0, share.sum(), LEAST) == (2, 2)
-    np.testing.assert_allclose(share, [0.5, 0.0, 0.5, 0.0], rtol=1e-3)
+    weight = one.f.vts.anchor[:4, WEIGHT]
+    weight[:] = [0.3, 0.2, 0.5, 0.1 * LEAST_WEIGHT]
+    assert _prune(one.f, 0, 0, LEAST_WEIGHT) == 2
+    np.testing.assert_allclose(weight, [0.5, 0.0, 0.5, 0.0], rtol=1e-3)
 
 
 @pytest.fixture(scope="module")

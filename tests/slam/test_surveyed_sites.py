@@ -15,7 +15,7 @@ from cellslam.slam.api import setup_of
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.joint.bp_slam import BpSlam
 from cellslam.slam.joint.ekf_slam import EkfSlam
-from cellslam.slam.joint.snapshot.birth_kernel import _gives_way
+from cellslam.slam.joint.snapshot.birth_kernel import _displaced
 from cellslam.slam.joint.state.layout import HITS, LAST, SURVEYED, block_of, one_of
 from cellslam.slam.joint.wall_slam import WallSlam
 from cellslam.slam.oracles import KnownAssociation
@@ -91,9 +91,9 @@ def test_what_was_surveyed_makes_room_for_nothing(toy_recording: Toy) -> None:
     f, b = one_of(estimator._joint.arrays, 0), block_of(estimator._joint.blocks, 0)
     f.count[0] = 2
     f.vts.slots[:2, LAST], f.vts.slots[1, HITS], f.vts.slots[:2, SURVEYED] = [0, 5], 9, [1, 0]
-    assert _gives_way(f, b, 100, 3) == 1
+    assert _displaced(f, b, 100, 3) == 1
     f.count[0] = 1
-    assert _gives_way(f, b, 100, 3) == -1
+    assert _displaced(f, b, 100, 3) == -1
 
 
 def test_the_oracle_takes_a_surveyed_transmitter_for_the_vt_that_it_is(toy_recording: Toy) -> None:

@@ -57,7 +57,7 @@ class Learnt:
     `changes`: by what factor a size of `slam.joint.sizes.OPTIONS` differs from what was assumed, and its relative
     standard deviation; what the drive does not tell is left out, and stays as assumed. `worth`: how much better what
     was learnt predicts than the defaults; None where clock offsets never were resolved, so that nothing was learnt.
-    Where it is not surely better, options and data sheet are the defaults.
+    Where it is not surely better, options and data sheet are the defaults, and the worth is that of the best rival.
     """
 
     options: dict[str, Any]
@@ -90,9 +90,8 @@ def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Pro
             found.append(scores(recording, Sheets(own, one.odometry_model), options))
             advance(1)
     worth = [compared(found[0], own) for own in found]
-    surely = [i for i in range(1, len(rivals)) if worth[i].sure]
-    taken = max(surely, key=lambda i: worth[i].mean, default=0)
-    return replace(rivals[taken], worth=worth[taken or 1])
+    best = max(range(1, len(rivals)), key=lambda i: (worth[i].sure, worth[i].mean))
+    return replace(rivals[best if worth[best].sure else 0], worth=worth[best])
 
 
 def _fitted(recording: Recording, assumed: Mapping[str, Any] | None, advance: Callable[[int], None]) -> Learnt | None:

@@ -35,13 +35,12 @@ from cellslam.slam.api import Snapshot, Step, setup_of, steps_of
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.mixture import Mixture
 from cellslam.slam.joint.sizes import Sheets
-from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, geometry, rotations_of
+from cellslam.slam.joint.snapshot.observation_kernel import Jacobian, coordinates, geometry, new_jacobian, rotations_of
 from cellslam.slam.joint.snapshot.update_kernel import covariance
-from cellslam.slam.joint.state.layout import HITS, LINK, TOUCHED, Filter
+from cellslam.slam.joint.state.layout import HITS, LINK, Filter
 from cellslam.slam.measurements.fusion import white
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
 from cellslam.slam.measurements.readings import LEAST
-from cellslam.slam.model.field_kernel import MOST_BELLS
 from cellslam.slam.model.matrices_kernel import Vec3
 
 CHANCE, LEAST_BLOCKS = 0.01, 5
@@ -163,7 +162,7 @@ def _log_score(filter_: EkfSlam, mixture: Mixture, snapshot: Snapshot, spread: S
     """Return the mean log-density of a snapshot's measurements, where `mixture` of a filter is."""
     z, log = columns(snapshot), np.log(OTHER) + spread.log_density(snapshot.link, columns(snapshot))
     setup, options = filter_._setup, filter_._fusion.options
-    link, h, spread_of = expected(mixture.likeliest, setup.links.site, options.confirm_hits, sight())
+    link, h, spread_of = expected(mixture.likeliest, setup.links.site, options.confirm_hits, new_jacobian())
     group = filter_._fusion._group[snapshot.link]
     errors = [np.log(white(snapshot, one) + np.sum(one.persisting, axis=0) + LEAST) for one in spread.rivals]
     noise = np.exp(np.mean(errors, axis=0))
@@ -186,16 +185,8 @@ def log_densities(z: Floats, h: Floats, p: Floats, noise: Floats) -> Floats:
     return np.asarray(-0.5 * (distance2 + np.linalg.slogdet(2.0 * np.pi * s)[1]))
 
 
-def sight() -> Sight:
-    """Return room for a Jacobian."""
-    return Sight(
-        at=np.empty(TOUCHED, np.int64), by=np.empty((3, TOUCHED)), size=np.empty(1, np.int64),
-        cells=np.empty(MOST_BELLS, np.int64), values=np.empty(MOST_BELLS),
-    )  # fmt: skip
-
-
 @njit(cache=True)
-def expected(f: Filter, site_of: Ints, confirm: int, s: Sight) -> tuple[Ints, Floats, Floats]:
+def expected(f: Filter, site_of: Ints, confirm: int, s: Jacobian) -> tuple[Ints, Floats, Floats]:
     """Return the links (n,) of a filter's confirmed VTs, what it expects to measure of them (n, 3), in m and rad, and
     how well it knows that, H P H^T (n, 3, 3)."""
     slots, turned, here = f.vts.slots, rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2])

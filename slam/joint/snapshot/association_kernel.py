@@ -20,8 +20,8 @@ from typing import NamedTuple
 from cellslam.sim.compiling import lean
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.joint.snapshot.birth_kernel import possible
-from cellslam.slam.joint.snapshot.sight_kernel import (
-    Sight,
+from cellslam.slam.joint.snapshot.observation_kernel import (
+    Jacobian,
     believed,
     coordinates,
     field,
@@ -29,7 +29,7 @@ from cellslam.slam.joint.snapshot.sight_kernel import (
     roof_first,
     rotations_of,
 )
-from cellslam.slam.joint.snapshot.trial_kernel import is_guess
+from cellslam.slam.joint.snapshot.tentative_kernel import is_hypothesis
 from cellslam.slam.joint.snapshot.update_kernel import LOG_2PI, Innovation, covariance, innovate, log_likelihood
 from cellslam.slam.joint.state.layout import (
     BELIEF,
@@ -39,11 +39,12 @@ from cellslam.slam.joint.state.layout import (
     IDENT,
     LAST,
     LINK,
-    SHARE,
+    WEIGHT,
     ArrayErrors,
     Filter,
     Measured,
 )
+from cellslam.slam.model.arrays_kernel import log_sum
 from cellslam.slam.model.assignment_kernel import assign
 from cellslam.slam.model.matrices_kernel import Sym3, Vec3
 from cellslam.slam.model.measurement_kernel import Rotations
@@ -55,7 +56,7 @@ FRESH, NO_BIRTH = -1, -2  # measurements of no VT: those that may begin one, and
 
 
 class Messages(NamedTuple):
-    """Room for belief propagation (see `pass_messages`): `beta`, `zeta`, `nu`, `marginal` (C, m), `xi` (m,)."""
+    """Memory for belief propagation (see `pass_messages`): `beta`, `zeta`, `nu`, `marginal` (C, m), `xi` (m,)."""
 
     beta: Floats
     zeta: Floats
@@ -65,10 +66,9 @@ class Messages(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """Room for the pairs of a link: `score` (C, m), squared Mahalanobis distances `distance2` (C, m), infinite outside
-    the gate, VTs `chosen` (C,) of its rows; of m measurements `row_of`, `gated`,
-    `slot_of`; the assignment's `work_f` and `work_i`. By belief propagation: `messages`, and how likely a
-    measurement began a VT, `exists` (m,)."""
+    """Memory for the pairs of a link: `score` (C, m), squared Mahalanobis distances `distance2` (C, m), infinite
+    outside the gate, VTs `chosen` (C,) of its rows; of m measurements `row_of`, `gated`, `slot_of`; the assignment's
+    `work_f` and `work_i`. By belief propagation: `messages`, and how likely a measurement began a VT, `exists` (m,)."""
 
     score: Floats
     distance2: Floats
@@ -91,7 +91,7 @@ class Expected(NamedTuple):
 
 
 @lean
-def expect(f: Filter, a: ArrayErrors, j: int, offset: int, turned: Rotations, s: Sight) -> Expected:
+def expect(f: Filter, a: ArrayErrors, j: int, offset: int, turned: Rotations, s: Jacobian) -> Expected:
     """Return what is expected of a measurement of VT j at this moment.
 
     Weights of the calibration are in it as states; what is not in the state, the roof, diffuse errors and turns have
@@ -136,13 +136,13 @@ def log_odds_of_return(i: Innovation, z: Floats, range_m: float) -> float:
     xx, xy, yy = i.s.xx, i.s.xy, i.s.yy
     det = xx * yy - xy * xy
     distance2 = (yy * i.e.x * i.e.x - 2.0 * xy * i.e.x * i.e.y + xx * i.e.y * i.e.y) / det
-    room = math.log(NEARBY_M) - 0.5 * LOG_2PI if not math.isnan(z[0]) else 0.0
-    room += math.log(NEARBY_M / max(range_m, 1.0)) - 0.5 * LOG_2PI if not math.isnan(z[1]) else 0.0
-    return float(room - 0.5 * (distance2 + math.log(det)))
+    other = math.log(NEARBY_M) - 0.5 * LOG_2PI if not math.isnan(z[0]) else 0.0
+    other += math.log(NEARBY_M / max(range_m, 1.0)) - 0.5 * LOG_2PI if not math.isnan(z[1]) else 0.0
+    return float(other - 0.5 * (distance2 + math.log(det)))
 
 
 @lean
-def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> int:
+def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Jacobian, w: Pairs) -> int:
     """Score the measurements of a link against its VTs; return how many candidates there are.
 
     Written: w.score (C, m): log-likelihood ratio of a pair to "missed, and clutter", -inf outside the gate; w.chosen
@@ -154,11 +154,11 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
     rows = 0
     w.gated[: stop - start] = 0
     for j in range(f.count[0]):
-        share = f.vts.anchor[j, SHARE]
-        if f.vts.slots[j, LINK] != link or f.vts.slots[j, BEYOND] == 1 or share == 0.0:
+        weight = f.vts.anchor[j, WEIGHT]
+        if f.vts.slots[j, LINK] != link or f.vts.slots[j, BEYOND] == 1 or weight == 0.0:
             continue
         row, kind, age = rows, 0 if f.vts.slots[j, HITS] < 2 else 1, min(seen.now - f.vts.slots[j, LAST], horizon)
-        if share < 1.0:  # one of several guesses of a VT, which is one row
+        if weight < 1.0:  # one of several hypotheses of a VT, which is one row
             for r in range(rows):
                 row = r if f.vts.slots[w.chosen[r], IDENT] == f.vts.slots[j, IDENT] else row
         if row == len(w.chosen):
@@ -173,7 +173,7 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
         if rules.mode == BELIEF:
             detected = f.vts.anchor[j, EXISTS] * seen.rules.existence.detection
             odds = math.log(max(detected, 1e-300) / (1.0 - detected))
-        prior = odds - rules.log_clutter + math.log(share)
+        prior = odds - rules.log_clutter + math.log(weight)
         returns = seen.now - f.vts.slots[j, LAST] > rules.away
         for k in range(start, stop):
             i = innovate(difference(seen.z[k], expected.z), seen.noise.single[k], expected.hph)
@@ -186,14 +186,12 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
                 w.gated[k - start] = 1
                 w.distance2[row, k - start] = min(distance2, w.distance2[row, k - start])
                 value = prior - seen.gap[k] - 0.5 * (distance2 + log_det + i.measured * LOG_2PI)
-                before = w.score[row, k - start]
-                most = max(value, before)
-                w.score[row, k - start] = most + math.log(math.exp(value - most) + math.exp(before - most))
+                w.score[row, k - start] = log_sum(value, w.score[row, k - start])
     return rows
 
 
 @lean
-def associate(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> None:
+def associate(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Jacobian, w: Pairs) -> None:
     """Write into w.row_of (m,) the row of `chosen` for each measurement of a link, -1 none: the best sum of scores."""
     rows = score_pairs(f, a, seen, link, s, w)
     assign(w.score, rows, seen.first[link + 1] - seen.first[link], w.row_of, w.work_f, w.work_i)
@@ -251,7 +249,7 @@ def _claims_on(xi: float, zeta: Floats, rows: int) -> float:
 
 
 @lean
-def believe(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> None:
+def believe(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Jacobian, w: Pairs) -> None:
     """Write into w.slot_of (m,) the VT that more likely than not made each measurement of a link, FRESH or NO_BIRTH,
     and into w.exists (m,) how likely a new VT is that it began; VTs' existence is predicted and updated.
 
@@ -285,5 +283,5 @@ def believe(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: P
         silent = exists * (1.0 - rules.detection) / (1.0 - exists * rules.detection)
         exists = min(detected + (1.0 - detected) * silent, SURE)
         for i in range(f.count[0]):
-            if is_guess(f, i, link, f.vts.slots[j, IDENT]):
+            if is_hypothesis(f, i, link, f.vts.slots[j, IDENT]):
                 f.vts.anchor[i, EXISTS] = exists

@@ -58,8 +58,8 @@ def _of_vt(f: Filter, j: int, x: Floats, before: Floats) -> tuple[Mat3, Vec3]:
 
 
 @lean
-def _put(by: Floats, place: int, x: float, y: float, z: float, yaw: float) -> None:
-    by[0, place], by[1, place], by[2, place], by[3, place] = x, y, z, yaw
+def _put(by: Floats, index: int, x: float, y: float, z: float, yaw: float) -> None:
+    by[0, index], by[1, index], by[2, index], by[3, index] = x, y, z, yaw
 
 
 @lean

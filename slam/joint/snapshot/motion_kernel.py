@@ -20,8 +20,8 @@ AREA = math.sqrt(math.pi / 2.0)  # exp(-x / (AREA l)) has the area of exp(-x^2 /
 
 class Interval(NamedTuple):
     """What the odometry says of `dt` (s): mean body velocities `measured` (6,), and the densities (6,) of its white
-    `noise` and of its biases' `walk`; `drawn` (6,): places of the states that the noise is summed up in because it will
-    be drawn, -1 for none."""
+    `noise` and of its biases' `walk`; `drawn` (6,): indices of the states that the noise is summed up in because it
+    will be drawn, -1 for none."""
 
     dt: float
     measured: Floats
@@ -31,7 +31,7 @@ class Interval(NamedTuple):
 
 
 class Step(NamedTuple):
-    """Room for one step: `by` (6, core + 6): d(next pose)/d(core), and behind it d(next pose)/d(velocity); `rows`
+    """Memory for one step: `by` (6, core + 6): d(next pose)/d(core), and behind it d(next pose)/d(velocity); `rows`
     (6, n)."""
 
     by: Floats
@@ -153,12 +153,12 @@ def _spread(f: Filter, interval: Interval, w: Step) -> None:
             p[r, s] = total
             p[s, r] = total
     for c in range(POSE):
-        place, variance = core.noise[c], noise[c] * noise[c]
-        if place >= 0:
-            p[place, place] += variance * dt
+        index, variance = core.noise[c], noise[c] * noise[c]
+        if index >= 0:
+            p[index, index] += variance * dt
             for r in range(POSE):
-                p[r, place] -= by[r, core.size + c] * variance
-                p[place, r] = p[r, place]
+                p[r, index] -= by[r, core.size + c] * variance
+                p[index, r] = p[r, index]
         if drawn[c] >= 0:
             _sum_up(f, w, interval, c)
         if core.bias[c] >= 0:
@@ -168,15 +168,15 @@ def _spread(f: Filter, interval: Interval, w: Step) -> None:
 @lean
 def _sum_up(f: Filter, w: Step, interval: Interval, c: int) -> None:
     """Add the interval's white noise of component c to the state that will be drawn, and to what goes with it."""
-    p, place, other = f.p, interval.drawn[c], f.core.noise[c]
+    p, index, other = f.p, interval.drawn[c], f.core.noise[c]
     variance = interval.noise[c] * interval.noise[c]
-    p[place, place] += variance * interval.dt
+    p[index, index] += variance * interval.dt
     if other >= 0:
-        p[place, other] += variance * interval.dt
-        p[other, place] = p[place, other]
+        p[index, other] += variance * interval.dt
+        p[other, index] = p[index, other]
     for r in range(POSE):
-        p[r, place] -= w.by[r, f.core.size + c] * variance
-        p[place, r] = p[r, place]
+        p[r, index] -= w.by[r, f.core.size + c] * variance
+        p[index, r] = p[r, index]
 
 
 @lean
@@ -206,10 +206,10 @@ def forget(f: Filter, a: ArrayErrors, moved: float, dt: float) -> None:
     """Let what persists be redrawn after a distance (m) and a time (s): diffuse errors, turns, pitch and roll."""
     kept = math.exp(-moved / (AREA * a.diffuse_m)) if a.diffuse_m > 0.0 else 0.0
     width = f.vts.state.shape[1]
-    for place in range(f.core.size, f.size[0]):
-        owner = f.owner[place]
+    for index in range(f.core.size, f.size[0]):
+        owner = f.owner[index]
         if kept < 1.0 and owner <= OF_VT and (OF_VT - owner) % width >= DIFFUSE:
-            fade(f, place, kept, 1.0)
+            fade(f, index, kept, 1.0)
     if f.core.sway[0] >= 0 and dt > 0.0:
         kept = math.exp(-dt / (AREA * a.sway_s))
         for c in range(3):

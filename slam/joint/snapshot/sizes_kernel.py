@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from cellslam.sim.compiling import lean, part
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.joint.snapshot.sight_kernel import roof_first
+from cellslam.slam.joint.snapshot.observation_kernel import roof_first
 from cellslam.slam.joint.state.layout import POSE, ArrayErrors, Filter
 from cellslam.slam.joint.state.states_kernel import covariance_of
 from cellslam.slam.model.matrices_kernel import Sym3, Vec3, dot, inverse, sym_vec
@@ -70,18 +70,18 @@ def count_diffuse(f: Filter, c: int, assumed: float, white: float, t: Vec3, e: V
 
 
 @lean
-def count_states(f: Filter, places: Ints, first_size: int, assumed: Floats) -> None:
+def count_states(f: Filter, indices: Ints, first_size: int, assumed: Floats) -> None:
     """Take in states with variances `assumed` (n,), in m^2 and rad^2, sizes from the first on; -1: no such state."""
-    for c in range(len(places)):
-        place = places[c]
-        if place >= 0 and assumed[c] > 0.0:
-            count(f, first_size + c, assumed[c], f.x[place] ** 2, covariance_of(f, place, place))
+    for c in range(len(indices)):
+        index = indices[c]
+        if index >= 0 and assumed[c] > 0.0:
+            count(f, first_size + c, assumed[c], f.x[index] ** 2, covariance_of(f, index, index))
 
 
 @lean
-def count_weight(f: Filter, a: ArrayErrors, place: int) -> None:
-    """Take in the weight of a field that is the state at this place."""
-    owner, first, std, size = f.owner[place], 0, a.calibration, CALIBRATION
+def count_weight(f: Filter, a: ArrayErrors, index: int) -> None:
+    """Take in the weight of a field that is the state of this index."""
+    owner, first, std, size = f.owner[index], 0, a.calibration, CALIBRATION
     cells = a.calibration_grid.cells
     if owner >= roof_first(a):
         first, std, size, cells = roof_first(a), a.roof, ROOF, a.roof_grid.cells
@@ -89,7 +89,7 @@ def count_weight(f: Filter, a: ArrayErrors, place: int) -> None:
     for c in range(3):
         if std[c] > 0.0:
             if component == 0:
-                count(f, size + c, 1.0, f.x[place] ** 2, covariance_of(f, place, place))
+                count(f, size + c, 1.0, f.x[index] ** 2, covariance_of(f, index, index))
             component -= 1
 
 
@@ -100,16 +100,16 @@ def count_motion(f: Filter, noise: Floats, dt: float) -> None:
     f.learnt.summed[0] += dt
     time_s, known = f.learnt.summed[0], f.learnt.summed[0] > LONGEST_SUM_S
     for c in range(POSE):
-        place, variance = f.core.noise[c], noise[c] * noise[c] * time_s
-        known = known or (place >= 0 and variance > 0.0 and covariance_of(f, place, place) < KNOWN_SHARE * variance)
+        index, variance = f.core.noise[c], noise[c] * noise[c] * time_s
+        known = known or (index >= 0 and variance > 0.0 and covariance_of(f, index, index) < KNOWN_SHARE * variance)
     if not known:
         return
     n, f.learnt.summed[0] = f.size[0], 0.0
     count_states(f, f.core.noise, ODOMETRY, noise * noise * time_s)
     for c in range(POSE):
-        place = f.core.noise[c]
-        if place >= 0:
-            f.x[place] = 0.0
-            f.particles.deviation[place] = 0.0
-            f.p[place, :n] = 0.0
-            f.p[:n, place] = 0.0
+        index = f.core.noise[c]
+        if index >= 0:
+            f.x[index] = 0.0
+            f.particles.deviation[index] = 0.0
+            f.p[index, :n] = 0.0
+            f.p[:n, index] = 0.0

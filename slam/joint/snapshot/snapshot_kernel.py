@@ -18,13 +18,13 @@ from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.joint.snapshot.association_kernel import FRESH, NO_BIRTH, Messages, Pairs, associate, believe
-from cellslam.slam.joint.snapshot.birth_kernel import begin, clear, possible, relight, tidy
+from cellslam.slam.joint.snapshot.birth_kernel import begin, choose_illuminator, clear, possible, tidy
 from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
 from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, forget, move
-from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, geometry, rotations_of
+from cellslam.slam.joint.snapshot.observation_kernel import Jacobian, coordinates, geometry, new_jacobian, rotations_of
 from cellslam.slam.joint.snapshot.sizes_kernel import SWAY, count_motion, count_states
 from cellslam.slam.joint.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
-from cellslam.slam.joint.snapshot.trial_kernel import try_out
+from cellslam.slam.joint.snapshot.tentative_kernel import update_hypotheses
 from cellslam.slam.joint.snapshot.update_kernel import (
     LOG_2PI,
     BlockMeasurement,
@@ -47,11 +47,10 @@ from cellslam.slam.joint.state.layout import (
     KNOWN_ASSOCIATION,
     LAST,
     LINK,
+    LOG_RATIO,
     POSE,
-    SHARE,
-    TOUCHED,
     UNSEEN,
-    WORTH,
+    WEIGHT,
     ArrayErrors,
     Block,
     Filter,
@@ -61,7 +60,6 @@ from cellslam.slam.joint.state.layout import (
     one_of,
 )
 from cellslam.slam.model.arrays_kernel import put
-from cellslam.slam.model.field_kernel import MOST_BELLS
 from cellslam.slam.model.matrices_kernel import Vec3
 from cellslam.slam.model.measurement_kernel import rotations
 
@@ -70,11 +68,11 @@ UNLIKELY = -4.6
 PENDING = 51  # rows of what measurements take off the covariance that may wait
 
 
-class Room(NamedTuple):
-    """Room for one filter at a time."""
+class Workspace(NamedTuple):
+    """Memory to work in, for one filter at a time."""
 
     step: Step
-    sight: Sight
+    jacobian: Jacobian
     pairs: Pairs
     pending: Pending
 
@@ -94,7 +92,7 @@ def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
 
 
 @lean
-def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> None:
+def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Jacobian, w: Pairs) -> None:
     """Write into w.slot_of (m,) the VT of each measurement: FRESH for what may begin one, NO_BIRTH for what may not."""
     for link in range(len(seen.first) - 1):
         start, stop = seen.first[link], seen.first[link + 1]
@@ -120,23 +118,22 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
     """Add to each VT's log-odds that it was detected or missed in this snapshot.
 
     The first measurement of a VT of a remembered map, or at one that returns, counts as whole: that something is where
-    the map has it, is news.
+    the map has it is new evidence.
     """
     rules, horizon = seen.rules.association, seen.tables.shape[2] - 1
     for j in range(f.count[0]):
         if f.links[f.vts.slots[j, LINK]] == 1:
             kind, age = 0 if f.vts.slots[j, HITS] < 2 else 1, min(seen.now - f.vts.slots[j, LAST], horizon)
-            b.sums.odds[j] += f.vts.anchor[j, SHARE] * seen.tables[kind, 1, age]
+            b.sums.odds[j] += f.vts.anchor[j, WEIGHT] * seen.tables[kind, 1, age]
     for k in range(len(seen.z)):
         j = w.slot_of[k]
         if j >= 0:
             kind, age = 0 if f.vts.slots[j, HITS] < 2 else 1, min(seen.now - f.vts.slots[j, LAST], horizon)
             odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - rules.log_clutter - seen.gap[k]
-            if (f.vts.slots[j, UNSEEN] == 1 or seen.now - f.vts.slots[j, LAST] > rules.away) and b.sums.detections[
-                j
-            ] == 0:
+            returns = f.vts.slots[j, UNSEEN] == 1 or seen.now - f.vts.slots[j, LAST] > rules.away
+            if returns and b.sums.detections[j] == 0:
                 any_vt = known_density(seen.z[k], seen.noise.many[k])
-                f.vts.anchor[j, WORTH] += odds - any_vt
+                f.vts.anchor[j, LOG_RATIO] += odds - any_vt
                 odds = any_vt
             b.sums.odds[j] += odds
 
@@ -152,7 +149,7 @@ def known_density(z: Floats, q: Floats) -> float:
 
 
 @part
-def take_in(f: Filter, b: Block, seen: Measured, association: Ints, s: Sight, w: Pairs) -> None:
+def take_in(f: Filter, b: Block, seen: Measured, association: Ints, s: Jacobian, w: Pairs) -> None:
     """Take what the measurements of VTs differ by from what is expected, errors that persist left out, into the
     block."""
     turned, here, n = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), b.track.snapshots[0]
@@ -189,17 +186,17 @@ def _count(b: Block, j: int, c: int, e: float, q: float) -> None:
 
 @lean
 def give_births(
-    f: Filter, a: ArrayErrors, b: Block, seen: Measured, association: Ints, s: Sight, w: Pairs, p: Pending
+    f: Filter, a: ArrayErrors, b: Block, seen: Measured, association: Ints, s: Jacobian, w: Pairs, p: Pending
 ) -> None:
-    """Begin VTs with measurements that nothing explains; that says nothing of a filter: else it could win by
-    measurements that it does not explain."""
+    """Begin VTs with measurements that nothing explains. They do not change the weight of a filter: else it could
+    win by measurements that it does not explain."""
     rules = seen.rules
     for link in range(len(seen.first) - 1):
         offset, start, stop = f.core.first_offset + seen.site_of[link], seen.first[link], seen.first[link + 1]
-        # Where paths may be scattered the shortest one begins first: what lights the others.
+        # Where paths may be scattered the shortest one begins first: the illuminator of the others.
         first = start
         if rules.scatterers:
-            relight(f, b, seen, link, w.slot_of, s)
+            choose_illuminator(f, b, seen, link, w.slot_of, s, p)
             first = shortest(seen.births.z, w.slot_of, start, stop)
         for turn in range(stop - start):
             k = first if turn == 0 else start + turn - (1 if start + turn <= first else 0)
@@ -234,24 +231,22 @@ def shares(b: Block, a: ArrayErrors, j: int) -> tuple[float, float]:
     n, by_distance, by_time = b.sums.detections[j], 0.0, 0.0
     for i in range(n):
         for k in range(n):
-            distance, time = (
-                b.track.at[b.sums.seen[j, i], 0] - b.track.at[b.sums.seen[j, k], 0],
-                b.track.at[b.sums.seen[j, i], 1] - b.track.at[b.sums.seen[j, k], 1],
-            )
+            one, other = b.track.at[b.sums.seen[j, i]], b.track.at[b.sums.seen[j, k]]
+            distance, time = one[0] - other[0], one[1] - other[1]
             by_distance += math.exp(-0.5 * (distance / a.diffuse_m) ** 2) if a.diffuse_m > 0.0 else 0.0
             by_time += math.exp(-0.5 * (time / a.sway_s) ** 2) if a.sway_s > 0.0 else 0.0
     return math.sqrt(by_distance / (n * n) * b.sums.diffuse[j] / n), math.sqrt(by_time / (n * n))
 
 
 @lean
-def count_surprise(
-    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, gate: float, s: Sight, p: Pending
+def count_nis(
+    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, gate: float, s: Jacobian, p: Pending
 ) -> None:
     """Take in how far the first measurement of VT j of a remembered map is from where the map has it."""
     e, hph = compare(f, a, j, offset, measurement, s, p)
     new = innovate(e, measurement.q, hph)
-    f.learnt.surprise[0] += min(log_likelihood(new)[0], gate)
-    f.learnt.surprise[1] += new.measured
+    f.learnt.nis[0] += min(log_likelihood(new)[0], gate)
+    f.learnt.nis[1] += new.measured
     f.vts.slots[j, UNSEEN] = 0
 
 
@@ -265,14 +260,14 @@ def begin_update(f: Filter, a: ArrayErrors, b: Block, seen: Measured, p: Pending
 
 
 @part
-def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sight, p: Pending) -> None:
-    """Take in what the block has of each VT, and what each VT is worth; the rows of p wait to be added up."""
+def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Jacobian, p: Pending) -> None:
+    """Take in what the block has of each VT, and its log-ratio; the rows of p wait to be added up."""
     rules = seen.rules
     z, q, white = np.empty(3), np.empty(3), np.empty(3)
     slots, anchor, sums = f.vts.slots, f.vts.anchor, b.sums
     for j in range(f.count[0]):
-        if sums.detections[j] == 0 or anchor[j, SHARE] == 0.0:
-            anchor[j, WORTH] += rules.evidence * sums.odds[j]
+        if sums.detections[j] == 0 or anchor[j, WEIGHT] == 0.0:
+            anchor[j, LOG_RATIO] += rules.evidence * sums.odds[j]
             clear(b, j)
             continue
         offset = f.core.first_offset + seen.site_of[slots[j, LINK]]
@@ -290,22 +285,22 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sigh
             expect_beside(f, b, j, offset, h, there, turned, rules.lifetime.confirm, s)
         diffuse, turn = shares(b, a, j)
         measurement = BlockMeasurement(
-            z=z, q=q, white=white, pose=middle, place=there, turned=turned, diffuse=diffuse, turn=turn, now=seen.now,
+            z=z, q=q, white=white, pose=middle, position=there, turned=turned, diffuse=diffuse, turn=turn, now=seen.now,
             deviation=b.track.deviation[at],
         )  # fmt: skip
         if slots[j, UNSEEN] == 1:
-            count_surprise(f, a, j, offset, measurement, rules.association.gate, s, p)
+            count_nis(f, a, j, offset, measurement, rules.association.gate, s, p)
         known = 0.0
         for c in range(3):
             if sums.measured[j, c] > 0.0:
                 known += 0.5 * (1.0 + LOG_2PI + math.log(q[c] + (diffuse * a.diffuse[c]) ** 2))
         # A pair's density counts as fit in so far as it is one VT's or another's; what any VT would have is evidence.
         evidence = rules.evidence * (sums.odds[j] - sums.detections[j] * known)
-        if anchor[j, SHARE] < 1.0 or rules.scatterers:
-            fit = try_out(f, a, j, offset, measurement, known + evidence, rules, s, p)
+        if anchor[j, WEIGHT] < 1.0 or rules.scatterers:
+            fit = update_hypotheses(f, a, j, offset, measurement, known + evidence, rules, s, p)
         else:
             fit = correct(f, a, j, offset, measurement, 1.0, rules, s, p)
-        anchor[j, WORTH] += max(fit + known, UNLIKELY) + evidence
+        anchor[j, LOG_RATIO] += max(fit + known, UNLIKELY) + evidence
         clear(b, j)
 
 
@@ -344,14 +339,14 @@ def advance_mixture(
     measurements with its VTs, and use the snapshot as it is paired.
 
     association (K, m), written: identities of the VTs, -1 for none. To `rest` (K,) is added what is in the log-weights
-    beside the worth of VTs.
+    beside the log-ratios of VTs.
     """
-    room = new_room(one_of(mixture, 0), len(seen.z), PENDING)
-    s, w, p = room.sight, room.pairs, room.pending
+    work = new_workspace(one_of(mixture, 0), len(seen.z), PENDING)
+    s, w, p = work.jacobian, work.pairs, work.pending
     for k in range(first, len(rest), step):
         f, b = one_of(mixture, k), block_of(blocks, k)
         if interval.dt > 0.0:
-            advance(f, b, interval, room.step)
+            advance(f, b, interval, work.step)
         pair(f, a, seen, s, w)
         if shift_clocks(f, b, a, seen, s, w):
             pair(f, a, seen, s, w)
@@ -367,23 +362,20 @@ def advance_mixture(
 
 
 @part
-def new_room(f: Filter, m: int, pending: int) -> Room:
-    """Return room for one filter, a snapshot of m measurements, and so many rows that are pending."""
+def new_workspace(f: Filter, m: int, pending: int) -> Workspace:
+    """Return memory to work in, for one filter, a snapshot of m measurements, and so many rows that are pending."""
     states, vts, particles = len(f.x), len(f.vts.slots), len(f.particles.weight)
-    work, rows = 4 * (vts + m + 2), len(f.core.step_m) + 1
+    assignment, rows = 4 * (vts + m + 2), len(f.core.step_m) + 1
     steps = Steps(
         used=np.zeros(1, np.int64), left=np.zeros((rows, states)), score=np.zeros(rows), information=np.zeros(rows)
     )
-    return Room(
+    return Workspace(
         step=Step(by=np.empty((POSE, f.core.size + POSE)), rows=np.empty((POSE, states))),
-        sight=Sight(
-            at=np.empty(TOUCHED, np.int64), by=np.empty((3, TOUCHED)), size=np.empty(1, np.int64),
-            cells=np.empty(MOST_BELLS, np.int64), values=np.empty(MOST_BELLS),
-        ),
+        jacobian=new_jacobian(),
         pairs=Pairs(
             score=np.empty((vts, m)), distance2=np.empty((vts, m)), chosen=np.empty(vts, np.int64),
             row_of=np.empty(m, np.int64), gated=np.empty(m, np.int64), slot_of=np.empty(m, np.int64),
-            work_f=np.empty(work), work_i=np.empty(work, np.int64),
+            work_f=np.empty(assignment), work_i=np.empty(assignment, np.int64),
             messages=Messages(
                 beta=np.empty((vts, m)), zeta=np.empty((vts, m)), nu=np.empty((vts, m)),
                 marginal=np.empty((vts, m)), xi=np.empty(m),

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from cellslam.sim.compiling import lean
 from cellslam.slam.joint.snapshot.association_kernel import Pairs, associate, difference, expect
-from cellslam.slam.joint.snapshot.sight_kernel import Sight, rotations_of
+from cellslam.slam.joint.snapshot.observation_kernel import Jacobian, rotations_of
 from cellslam.slam.joint.snapshot.update_kernel import Steps, innovate
 from cellslam.slam.joint.state.layout import HITS, LAST, LINK, ArrayErrors, Block, Filter, Measured, Rules
 
@@ -84,7 +84,7 @@ def _likely_size(steps: Steps, row: int, std_m: float) -> Shift:
 
 
 @lean
-def shift_clocks(f: Filter, b: Block, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> bool:
+def shift_clocks(f: Filter, b: Block, a: ArrayErrors, seen: Measured, s: Jacobian, w: Pairs) -> bool:
     """Shift the clock of each site whose measurements, as paired in w.slot_of, confirmed VTs explain if distances are
     shifted; return whether there is any. The evidence of a site that nothing explains adds up over snapshots in
     `b.shift`."""
@@ -129,12 +129,12 @@ def _explained(f: Filter, seen: Measured, site: int, w: Pairs) -> tuple[int, int
 
 
 @lean
-def _worth(f: Filter, a: ArrayErrors, seen: Measured, site: int, shift: float, s: Sight, w: Pairs) -> tuple[float, int]:
+def _ratio(f: Filter, a: ArrayErrors, seen: Measured, site: int, by: float, s: Jacobian, w: Pairs) -> tuple[float, int]:
     """Return the log-likelihood ratio to clutter of a site's measurements that are of confirmed VTs, if its clock is
-    shifted by so many m, and how many there are."""
+    shifted `by` so many m, and how many there are."""
     offset, score, paired = f.core.first_offset + site, 0.0, 0
     before = f.x[offset]
-    f.x[offset] += shift
+    f.x[offset] += by
     for link in range(len(seen.first) - 1):
         if seen.site_of[link] == site and f.links[link] == 1 and seen.first[link + 1] > seen.first[link]:
             associate(f, a, seen, link, s, w)
@@ -148,10 +148,10 @@ def _worth(f: Filter, a: ArrayErrors, seen: Measured, site: int, shift: float, s
 
 
 @lean
-def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Sight, w: Pairs) -> Shift:
+def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Jacobian, w: Pairs) -> Shift:
     """Return the shift of a site's distances that most measurements agree on; a measurement alone must be of a VT seen
     lately."""
-    score, paired = _worth(f, a, seen, site, 0.0, s, w)
+    score, paired = _ratio(f, a, seen, site, 0.0, s, w)
     turned, rules, best = rotations_of(f), seen.rules, Shift(0.0, 1.0, 0.0, 0)
     gate = rules.association.gate
     for j in range(f.count[0]):
@@ -164,7 +164,7 @@ def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Sight
             apart = i.e.y * i.e.y / i.s.yy + i.e.z * i.e.z / i.s.zz
             if math.isnan(seen.z[k, 0]) or apart > gate or i.e.x * i.e.x <= gate * i.s.xx:
                 continue
-            there, agree = _worth(f, a, seen, site, i.e.x, s, w)
+            there, agree = _ratio(f, a, seen, site, i.e.x, s, w)
             recent = seen.now - f.vts.slots[j, LAST] <= RECENT
             if there - score > best.gain and (recent or agree - paired >= AGREE):
                 best = Shift(i.e.x, i.s.xx, there - score, agree - paired)

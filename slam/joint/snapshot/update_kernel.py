@@ -21,17 +21,18 @@ from typing import NamedTuple
 from cellslam.sim.compiling import lean
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry, range_factor
+from cellslam.slam.joint.snapshot.observation_kernel import Jacobian, coordinates, errors_of, geometry, range_factor
 from cellslam.slam.joint.snapshot.sizes_kernel import count_diffuse, count_white
 from cellslam.slam.joint.state.layout import (
     DIFFUSE,
     HITS,
-    LIGHT,
+    ILLUMINATOR,
     LINK,
     MERGED,
     POSE,
-    SHARE,
+    SCATTERER,
     VT,
+    WEIGHT,
     ArrayErrors,
     Block,
     Filter,
@@ -91,14 +92,14 @@ class Pending(NamedTuple):
 class BlockMeasurement(NamedTuple):
     """A measurement, or the mean of several: `z`, `q` (3,): distance, azimuth, elevation in m and rad, NaN where not
     measured, and their variances, `white` (3,) but for what merged paths do; seen from the `pose` (6,), which is
-    `place` (m) and the rotation `turned`, by each particle from a pose that differs from this one by `deviation`
+    `position` (m) and the rotation `turned`, by each particle from a pose that differs from this one by `deviation`
     (6, N); `diffuse`, `turn`: what is left in it of the deviation of these errors; `now`: snapshot."""
 
     z: Floats
     q: Floats
     white: Floats
     pose: Floats
-    place: Vec3
+    position: Vec3
     turned: Rotations
     diffuse: float
     turn: float
@@ -141,7 +142,7 @@ def log_likelihood(i: Innovation) -> tuple[float, float]:
 
 
 @lean
-def covariance(f: Filter, s: Sight) -> Sym3:
+def covariance(f: Filter, s: Jacobian) -> Sym3:
     """Return H P H^T in m^2, m rad and rad^2, H being the Jacobian s: the triangle below P's diagonal, twice."""
     xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(s.size[0]):
@@ -159,7 +160,7 @@ def covariance(f: Filter, s: Sight) -> Sym3:
 
 
 @lean
-def gains(f: Filter, s: Sight, w: Pending) -> Sym3:
+def gains(f: Filter, s: Jacobian, w: Pending) -> Sym3:
     """Write T = H P (3, n) into w.t, less what the pending rows G have taken off: T - (H G^T) G; return T H^T."""
     n, t0, t1, t2 = f.size[0], w.t[0], w.t[1], w.t[2]
     t0[:n] = 0.0
@@ -194,7 +195,7 @@ def gains(f: Filter, s: Sight, w: Pending) -> Sym3:
 
 
 @lean
-def times(s: Sight, column: Floats) -> Vec3:
+def times(s: Jacobian, column: Floats) -> Vec3:
     """Return the Jacobian s times a column (n,)."""
     x, y, z = 0.0, 0.0, 0.0
     for k in range(s.size[0]):
@@ -257,12 +258,12 @@ def add_up(f: Filter, w: Pending) -> None:
 
 @lean
 def correct(
-    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, part: float, rules: Rules, s: Sight,
-    w: Pending,
+    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, part: float, rules: Rules,
+    s: Jacobian, w: Pending,
 ) -> float:  # fmt: skip
     """Take in what a measurement of VT j says of the whole state; return its log-density.
 
-    part: of the measurement that counts, the others being of other guesses.
+    part: of the measurement that counts, the others being of other hypotheses.
     """
     if w.used[0] + 6 > len(w.rows):
         settle(f, w)
@@ -274,9 +275,9 @@ def correct(
     if rules.merge_rate > 0.0 and not math.isnan(e.y):
         allowed, lacks = allow_for_merging(f, j, new.e.y, new.s, measurement.q[1])
         new = Innovation(new.e, allowed, new.measured)
-    share = part * likely_share(new)
-    count_sizes(f, j, measurement, Innovation(vec_scaled(new.e, math.sqrt(share)), plain, new.measured), w)
-    widened = sym_scaled(new.s, 1.0 / share)
+    weight = part * huber_weight(new)
+    count_sizes(f, j, measurement, Innovation(vec_scaled(new.e, math.sqrt(weight)), plain, new.measured), w)
+    widened = sym_scaled(new.s, 1.0 / weight)
     counted = Innovation(new.e, sym_minus(widened, spread), new.measured)
     if len(f.particles.weight) > 0:
         innovate_particles(f, j, offset, measurement, e, counted, s, w)
@@ -300,7 +301,7 @@ def spread_of(f: Filter, j: int, e: Vec3) -> Sym3:
 
 @lean
 def innovate_particles(
-    f: Filter, j: int, offset: int, measurement: BlockMeasurement, e: Vec3, mean: Innovation, s: Sight, w: Pending
+    f: Filter, j: int, offset: int, measurement: BlockMeasurement, e: Vec3, mean: Innovation, s: Jacobian, w: Pending
 ) -> None:
     """Write the next three rows of w.whitened: what a measurement of VT j differs by from what each particle expects,
     given the measurements before it in the block, whitened by the covariance of the mean's innovation.
@@ -321,18 +322,18 @@ def innovate_particles(
         across[c] = wrap(whole.y + expected.azimuth - h.azimuth)
         up[c] = whole.z + expected.elevation - h.elevation
     for m in range(s.size[0]):
-        place, b0, b1, b2 = s.at[m], s.by[0, m], s.by[1, m], s.by[2, m]
+        index, b0, b1, b2 = s.at[m], s.by[0, m], s.by[1, m], s.by[2, m]
         if (
-            place < POSE
-            or place == offset
-            or place == f.core.range_scale
-            or at[0] == place
-            or at[1] == place
-            or at[2] == place
-            or is_of_light(f, j, place)
+            index < POSE
+            or index == offset
+            or index == f.core.range_scale
+            or at[0] == index
+            or at[1] == index
+            or at[2] == index
+            or is_of_illuminator(f, j, index)
         ):
             continue  # geometry, clock and scale of range, which are above
-        _subtract(far, across, up, Vec3(b0, b1, b2), d[place])
+        _subtract(far, across, up, Vec3(b0, b1, b2), d[index])
     for r in range(k):
         _subtract(far, across, up, times(s, w.rows[r]), w.whitened[r])
     for c in range(len(f.particles.weight)):
@@ -344,17 +345,16 @@ def innovate_particles(
 
 
 @lean
-def is_of_light(f: Filter, j: int, place: int) -> bool:
-    """Return whether a state is a coordinate of what lights VT j."""
-    light = f.vts.slots[j, LIGHT] - 1
-    if light < 0:
+def is_of_illuminator(f: Filter, j: int, index: int) -> bool:
+    """Return whether a state is a coordinate of the illuminator of VT j."""
+    if f.vts.slots[j, SCATTERER] == 0:
         return False
-    at = f.vts.state[light]
-    return bool(at[VT] == place or at[VT + 1] == place or at[VT + 2] == place)
+    at = f.vts.state[f.vts.slots[j, ILLUMINATOR]]
+    return bool(at[VT] == index or at[VT + 1] == index or at[VT + 2] == index)
 
 
 @lean
-def _place_as_by(f: Filter, j: int, particle: int) -> Vec3:
+def _position_by(f: Filter, j: int, particle: int) -> Vec3:
     """Return where a particle has VT j, in m, or the mean (-1)."""
     at, x, d = f.vts.state[j], f.x, f.particles.deviation
     distance, azimuth, elevation = x[at[0]], x[at[1]], x[at[2]]
@@ -370,19 +370,19 @@ def _place_as_by(f: Filter, j: int, particle: int) -> Vec3:
 def _seen_by(f: Filter, j: int, measurement: BlockMeasurement, particle: int) -> Spherical:
     """Return the measured distance (m), without clock offset, and direction (rad) of VT j as a particle has both, or
     the mean (-1)."""
-    d, place, turned = f.particles.deviation, measurement.place, measurement.turned.r
+    d, position, turned = f.particles.deviation, measurement.position, measurement.turned.r
     factor, scale = range_factor(f), f.core.range_scale
     if particle >= 0:
         factor += d[scale, particle] if scale >= 0 else 0.0
         by = measurement.deviation[:, particle]
-        place = Vec3(place.x + by[0], place.y + by[1], place.z + by[2])
+        position = Vec3(position.x + by[0], position.y + by[1], position.z + by[2])
         turned = rotations(measurement.pose[3] + by[3], measurement.pose[4] + by[4], measurement.pose[5] + by[5]).r
-    point = _place_as_by(f, j, particle)
-    seen, light = spherical(transposed_vec(turned, vec_minus(point, place))), f.vts.slots[j, LIGHT] - 1
-    if light < 0:
+    point = _position_by(f, j, particle)
+    seen = spherical(transposed_vec(turned, vec_minus(point, position)))
+    if f.vts.slots[j, SCATTERER] == 0:
         return Spherical(factor * seen.distance, seen.azimuth, seen.elevation)
-    way = vec_minus(point, _place_as_by(f, light, particle))
-    return Spherical(factor * (seen.distance + math.sqrt(dot(way, way))), seen.azimuth, seen.elevation)
+    path = vec_minus(point, _position_by(f, f.vts.slots[j, ILLUMINATOR], particle))
+    return Spherical(factor * (seen.distance + math.sqrt(dot(path, path))), seen.azimuth, seen.elevation)
 
 
 @lean
@@ -399,7 +399,7 @@ def _subtract(far: Floats, across: Floats, up: Floats, by: Vec3, row: Floats) ->
 
 
 @lean
-def show_steps(f: Filter, e: Vec3, new: Innovation, counted: Sym3, s: Sight, w: Pending) -> None:
+def show_steps(f: Filter, e: Vec3, new: Innovation, counted: Sym3, s: Jacobian, w: Pending) -> None:
     """Take in what an innovation says of steps of clocks, after the update by it, which took `counted` for its
     covariance; e with NaN where not measured."""
     if w.steps.used[0] == 0:
@@ -418,7 +418,7 @@ def show_steps(f: Filter, e: Vec3, new: Innovation, counted: Sym3, s: Sight, w: 
 
 
 @lean
-def _shown(left: Floats, e: Vec3, s: Sight) -> Vec3:
+def _shown(left: Floats, e: Vec3, s: Jacobian) -> Vec3:
     """Return H left, zero where e is NaN."""
     h = times(s, left)
     return Vec3(0.0 if math.isnan(e.x) else h.x, 0.0 if math.isnan(e.y) else h.y, 0.0 if math.isnan(e.z) else h.z)
@@ -436,18 +436,18 @@ def count_sizes(f: Filter, j: int, measurement: BlockMeasurement, i: Innovation,
     )  # fmt: skip
     count_white(f, i.e, s, white)
     for c in range(3):
-        place = f.vts.state[j, DIFFUSE + c]
-        if place >= 0:
-            before = f.p[place, place]
+        index = f.vts.state[j, DIFFUSE + c]
+        if index >= 0:
+            before = f.p[index, index]
             for r in range(w.used[0]):
-                before -= w.rows[r, place] ** 2
-            count_diffuse(f, c, before, white[c], Vec3(w.t[0, place], w.t[1, place], w.t[2, place]), i.e, s)
+                before -= w.rows[r, index] ** 2
+            count_diffuse(f, c, before, white[c], Vec3(w.t[0, index], w.t[1, index], w.t[2, index]), i.e, s)
 
 
 @lean
-def likely_share(i: Innovation) -> float:
-    """Return by what an innovation that is unlikely large counts for less: what no model has, as paths that merge, must
-    not outweigh what it has.
+def huber_weight(i: Innovation) -> float:
+    """Return the weight, 1 at most, of an innovation: less where it is unlikely large. What no model has, as paths that
+    merge, must not outweigh what it has.
 
     Source: Huber, Robust Statistics, 1981, section 7: weights that fall as the residual.
     """
@@ -457,10 +457,10 @@ def likely_share(i: Innovation) -> float:
 
 @lean
 def compare(
-    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, s: Sight, w: Pending
+    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, s: Jacobian, w: Pending
 ) -> tuple[Vec3, Sym3]:
     """Return what a measurement of VT j differs by from what is expected, and H P H^T; H P is left in w.t."""
-    seen, z = geometry(f, j, offset, measurement.place, measurement.turned, coordinates(f, j), s), measurement.z
+    seen, z = geometry(f, j, offset, measurement.position, measurement.turned, coordinates(f, j), s), measurement.z
     errors = errors_of(f, a, j, seen, measurement.diffuse, measurement.turn, measurement.now, s)
     e = Vec3(
         z[0] - seen.distance - f.x[offset] - errors.x, z[1] - seen.azimuth - errors.y, z[2] - seen.elevation - errors.z
@@ -469,7 +469,7 @@ def compare(
 
 
 @lean
-def expected_share(rate: float) -> float:
+def merge_probability(rate: float) -> float:
     """Return the probability that another path has merged with one of which nothing is known.
 
     rate: how often that begins, 1/s; 0: never.
@@ -480,26 +480,27 @@ def expected_share(rate: float) -> float:
 @lean
 def expect_merging(f: Filter, rate: float, dt: float) -> None:
     """Let paths merge and part for a time dt (s)."""
-    share, left = expected_share(rate), math.exp(-(rate + END_RATE) * dt)
+    stationary, left = merge_probability(rate), math.exp(-(rate + END_RATE) * dt)
     for j in range(f.count[0]):
-        f.vts.anchor[j, MERGED] = share + left * (f.vts.anchor[j, MERGED] - share)
+        f.vts.anchor[j, MERGED] = stationary + left * (f.vts.anchor[j, MERGED] - stationary)
 
 
 @lean
 def expect_beside(
-    f: Filter, b: Block, j: int, offset: int, seen: Spherical, place: Vec3, turned: Rotations, confirm: int, s: Sight
-) -> None:
+    f: Filter, b: Block, j: int, offset: int, seen: Spherical, position: Vec3, turned: Rotations, confirm: int,
+    s: Jacobian,
+) -> None:  # fmt: skip
     """Expect that another path has merged with that of VT j, seen there (m and rad) in this block, where a confirmed VT
     that is not seen has its place within what is resolved."""
     for i in range(f.count[0]):
         sought = (
             f.vts.slots[i, LINK] == f.vts.slots[j, LINK]
             and f.vts.slots[i, HITS] >= confirm
-            and f.vts.anchor[i, SHARE] == 1.0
+            and f.vts.anchor[i, WEIGHT] == 1.0
         )
         if i == j or b.sums.detections[i] > 0 or not sought:
             continue
-        other = geometry(f, i, offset, place, turned, coordinates(f, i), s)
+        other = geometry(f, i, offset, position, turned, coordinates(f, i), s)
         if (
             abs(other.distance - seen.distance) < UNRESOLVED[0]
             and abs(wrap(other.azimuth - seen.azimuth)) < UNRESOLVED[1]
@@ -522,8 +523,8 @@ def allow_for_merging(f: Filter, j: int, e: float, s: Sym3, q: float) -> tuple[S
     log_sum = -0.5 * least + math.log(
         (1.0 - before) * math.exp(-0.5 * (plain - least)) + before * math.exp(-0.5 * (merged - least))
     )
-    share = before * math.exp(-0.5 * merged - log_sum)
-    f.vts.anchor[j, MERGED] = share
-    counted = s.yy - q + 1.0 / ((1.0 - share) / q + share / (q + LASTS * SHIFT2))
+    after = before * math.exp(-0.5 * merged - log_sum)
+    f.vts.anchor[j, MERGED] = after
+    counted = s.yy - q + 1.0 / ((1.0 - after) / q + after / (q + LASTS * SHIFT2))
     lacks = log_sum + 0.5 * (math.log(counted) + e2 / counted)
     return Sym3(s.xx, s.xy, s.xz, counted, s.yz, s.zz), lacks

@@ -15,22 +15,23 @@ NOBODY, OF_VT = -1, -2
 # States of a VT: range, azimuth, elevation about its anchor, and its diffuse errors in distance, azimuth, elevation.
 VT, DIFFUSE, VT_STATES = 0, 3, 6
 # Integers of a VT: link, detections, snapshot of the last one, identity, 1 while only a remembered map has it, 1 where
-# its wall is known not to reach: nothing is associated with it there; 1 if it was known before the drive: it stays; and
-# what it is: 1 + n, a scatterer that VT n lights, or a mirror image: -1 - n, it might as well have been such a
-# scatterer, or 0, none that anything known would light (`birth_kernel`).
-LINK, HITS, LAST, IDENT, UNSEEN, BEYOND, SURVEYED, LIGHT, SLOT = range(9)
-# Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation);
-# what share a guess has in its VT (1: the only one, 0: given up); the probability that another path has merged
-# with that of the VT; the log-ratio of the likelihood of its measurements to that of clutter; and its track score: it
-# has its say in the update where that is positive (`trial_kernel`).
-EXISTS, SHARE, MERGED, WORTH, SCORE, ANCHOR = range(3, 9)
+# its wall is known not to reach: nothing is associated with it there; 1 if it was known before the drive: it stays; 1
+# if it is a scatterer, 0: a mirror image; and the VT that illuminates the scatterer, or the one that this image would
+# be if it was one: -1, none (`birth_kernel`).
+LINK, HITS, LAST, IDENT, UNSEEN, BEYOND, SURVEYED, SCATTERER, ILLUMINATOR, SLOT = range(10)
+# Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation); the
+# weight of a hypothesis of a VT (1: the only one, 0: given up); the probability that another path has merged with that
+# of the VT; the log-ratio of the likelihood of its measurements to that of clutter; and its track score. A VT is
+# tentative, then confirmed by enough detections and a positive score, which it has from the beginning where paths
+# cannot be scattered (`tentative_kernel`).
+EXISTS, WEIGHT, MERGED, LOG_RATIO, SCORE, ANCHOR = range(3, 9)
 MOST_SCORE = 6.0  # ever so many measurements that fit do not outweigh those that no longer do
 # What the measurements may do to the map.
 FREE, KNOWN_ASSOCIATION, KNOWN_MAP, BELIEF = range(4)
 # A VT of the map: identity, link, position (3), covariance (9), and 1 if it is a scatterer.
 POSITION, SPREAD, KIND, ENTRY = 2, 5, 14, 15
 # States that one measurement touches at most: pose, sway, ground, scale of range, clock offset, VT and its diffuse
-# errors, what lights it; weights of five fields.
+# errors, its illuminator; weights of five fields.
 TOUCHED = POSE + 3 + 1 + 1 + 1 + VT_STATES + 3 + 5 * MOST_BELLS
 
 
@@ -40,9 +41,9 @@ class Core(NamedTuple):
     has summed up to lately, clock offsets (S), rates of those that drift, errors that the VTs of a remembered map have
     in common.
 
-    `bias`, `scale`, `noise` (6,), `rate` (S,): place of each component's error and of each offset's rate, `sway` (3,),
-    `ground`, `range_scale`, -1 where there is none; `drawn` (D, 6): places of what the odometry's white noise sums up
-    to in each of the last D blocks, in a filter that draws it, -1 where a component has none. `wander` (2, S):
+    `bias`, `scale`, `noise` (6,), `rate` (S,): indices of each component's error and of each offset's rate, `sway`
+    (3,), `ground`, `range_scale`, -1 where there is none; `drawn` (D, 6): what the odometry's white noise sums
+    up to in each of the last D blocks, in a filter that draws it, -1 where a component has none. `wander` (2, S):
     densities of the walks of offsets and rates, m/sqrt(s), (m/s)/sqrt(s); `step_m` (S,): deviation of the size of steps
     of offsets, m, 0 where a clock does not step. From `first_common` to `size`: the map's errors.
     """
@@ -94,17 +95,17 @@ class ArrayErrors(NamedTuple):
 
 
 class FieldWeights(NamedTuple):
-    """The weights (W,) of the fields of direction: `place` of each among the states, -1 where it is none; snapshot in
-    which it was `met` last."""
+    """The weights (W,) of the fields of direction: index of the `state` of each, -1 where it is none; snapshot in which
+    it was `met` last."""
 
-    place: Ints
+    state: Ints
     met: Ints
 
 
 class Vts(NamedTuple):
-    """V VTs: `state` (V, 6): places of the states of each, -1 where there is none; `anchor` (V, 9) and integers `slots`
-    (V, 8), as above; `spread` (V, 6): covariance over the particles of what they expect to measure of each VT, xx, xy,
-    xz, yy, yz, zz in m and rad. A VT that is known exactly has states without variance."""
+    """V VTs: `state` (V, 6): indices of the states of each, -1 where there is none; `anchor` (V, 9) and integers
+    `slots` (V, 10), as above; `spread` (V, 6): covariance over the particles of what they expect to measure of each VT,
+    xx, xy, xz, yy, yz, zz in m and rad. A VT that is known exactly has states without variance."""
 
     state: Ints
     anchor: Floats
@@ -121,12 +122,12 @@ class Lost(NamedTuple):
 
 class Learnt(NamedTuple):
     """What was learnt of assumptions: `sizes` (3, Z), see `sizes_kernel`; `summed` (1,): time (s) of the sums of noise;
-    `surprise` (2,): sum of the squared innovations, in their deviations, of first measurements of VTs of a remembered
-    map, and how many components they had."""
+    `nis` (2,): sum of the normalised innovations squared of first measurements of VTs of a remembered map, and how many
+    components they had."""
 
     sizes: Floats
     summed: Floats
-    surprise: Floats
+    nis: Floats
 
 
 class Particles(NamedTuple):
@@ -141,7 +142,7 @@ class Filter(NamedTuple):
     """One filter, with room for n states and V VTs; or a mixture of them, all arrays with a leading axis.
 
     Mean `x` (n,) and covariance `p` (n, n), of which `size` (1,) are in use; `owner` (n,) of each state; `count` (1,):
-    VTs; `links` (L,): 1 where it uses a link; `lights` (L,): 1 + the VT that is taken for the transmitter, 0: none.
+    VTs; `links` (L,): 1 where it uses a link; `illuminators` (L,): the VT that is taken for the transmitter, -1: none.
     """
 
     core: Core
@@ -151,7 +152,7 @@ class Filter(NamedTuple):
     owner: Ints
     count: Ints  # type: ignore[assignment]  # hides tuple.count
     links: Ints
-    lights: Ints
+    illuminators: Ints
     fields: FieldWeights
     vts: Vts
     lost: Lost
@@ -211,7 +212,7 @@ class Rules(NamedTuple):
 
     `evidence`: share of detections and misses that counts in the log-likelihood; `step`: log-probability that a clock
     which may step does so in a block; `merge_rate`: how often another path merges with that of a VT, 1/s; 0: never;
-    `scatterers`: whether a VT may be a scatterer, or nothing that a filter has a model of: it must earn its say.
+    `scatterers`: whether a VT may be a scatterer, or nothing that a filter has a model of: its track score confirms it.
     """
 
     association: Association
@@ -239,11 +240,11 @@ class Noise(NamedTuple):
 
 class Births(NamedTuple):
     """Measurements as VTs begin with them: `z` (m, 3) in m and rad, NaN where none may begin; variances `q` (m, 3); and
-    how many `guesses` there are, if all of them begin, of VTs of which a distance or an azimuth is not known."""
+    how many `hypotheses` there are, if all of them begin, of VTs of which a distance or an azimuth is not known."""
 
     z: Floats
     q: Floats
-    guesses: int
+    hypotheses: int
 
 
 class Measured(NamedTuple):
@@ -308,11 +309,11 @@ def one_of(mixture: Filter, k: int) -> Filter:
     fields, vts, lost, learnt, particles = mixture.fields, mixture.vts, mixture.lost, mixture.learnt, mixture.particles
     return Filter(
         core=mixture.core, x=mixture.x[k], p=mixture.p[k], size=mixture.size[k], owner=mixture.owner[k],
-        count=mixture.count[k], links=mixture.links[k], lights=mixture.lights[k],
-        fields=FieldWeights(place=fields.place[k], met=fields.met[k]),
+        count=mixture.count[k], links=mixture.links[k], illuminators=mixture.illuminators[k],
+        fields=FieldWeights(state=fields.state[k], met=fields.met[k]),
         vts=Vts(state=vts.state[k], anchor=vts.anchor[k], slots=vts.slots[k], spread=vts.spread[k]),
         lost=Lost(rows=lost.rows[k], used=lost.used[k]),
-        learnt=Learnt(sizes=learnt.sizes[k], summed=learnt.summed[k], surprise=learnt.surprise[k]),
+        learnt=Learnt(sizes=learnt.sizes[k], summed=learnt.summed[k], nis=learnt.nis[k]),
         particles=Particles(deviation=particles.deviation[k], weight=particles.weight[k]),
     )  # fmt: skip
 

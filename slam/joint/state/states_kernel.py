@@ -1,7 +1,7 @@
 """Compiled: the state of a joint filter: what comes and goes in it.
 
 States before `core.size` are always there. The others enter as they are met and leave by exact marginalisation, the
-last one taking the place of one that leaves: `owner` says whose each of them is, `vts.state` and `fields.place` where
+last one taking the place of one that leaves: `owner` says whose each of them is, `vts.state` and `fields.state` where
 they are. Source: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics", 1990.
 """
 
@@ -19,7 +19,7 @@ SAME = 0.5  # deviations by which equally likely filters differ, or one stays
 
 @lean
 def enter(f: Filter, owner: int, variance: float) -> int:
-    """Add an independent state of mean zero; return its place, -1 where there is no room."""
+    """Add an independent state of mean zero; return its index, -1 where the arrays are full."""
     n = f.size[0]
     if n == len(f.x):
         return -1
@@ -29,35 +29,35 @@ def enter(f: Filter, owner: int, variance: float) -> int:
     f.p[n, n] = variance
     f.particles.deviation[n] = 0.0
     f.size[0] = n + 1
-    _settle_in(f, n, owner)
+    _index(f, n, owner)
     return int(n)
 
 
 @part
-def leave(f: Filter, place: int) -> None:
+def leave(f: Filter, index: int) -> None:
     """Take a state out; the last one takes its place."""
     last = f.size[0] - 1
-    _settle_in(f, -1, f.owner[place])
-    if place != last:
-        f.x[place] = f.x[last]
-        put(f.p[place], f.p[last, :last])
-        put(f.p[:, place], f.p[last, :last])
-        f.p[place, place] = f.p[last, last]
-        put(f.particles.deviation[place], f.particles.deviation[last])
-        _settle_in(f, place, f.owner[last])
+    _index(f, -1, f.owner[index])
+    if index != last:
+        f.x[index] = f.x[last]
+        put(f.p[index], f.p[last, :last])
+        put(f.p[:, index], f.p[last, :last])
+        f.p[index, index] = f.p[last, last]
+        put(f.particles.deviation[index], f.particles.deviation[last])
+        _index(f, index, f.owner[last])
     f.size[0] = last
 
 
 @lean
-def _settle_in(f: Filter, place: int, owner: int) -> None:
-    """Write down that the state of this owner is at a place, -1 for nowhere."""
-    if place >= 0:
-        f.owner[place] = owner
+def _index(f: Filter, index: int, owner: int) -> None:
+    """Write down the index of the state of this owner, -1: there is none."""
+    if index >= 0:
+        f.owner[index] = owner
     if owner >= 0:
-        f.fields.place[owner] = place
+        f.fields.state[owner] = index
     elif owner <= OF_VT:
         k = OF_VT - owner
-        f.vts.state[k // f.vts.state.shape[1], k % f.vts.state.shape[1]] = place
+        f.vts.state[k // f.vts.state.shape[1], k % f.vts.state.shape[1]] = index
 
 
 @lean
@@ -67,17 +67,17 @@ def owner_of(j: int, coordinate: int, width: int) -> int:
 
 
 @lean
-def fade(f: Filter, place: int, kept: float, variance: float) -> None:
+def fade(f: Filter, index: int, kept: float, variance: float) -> None:
     """Let a Gauss-Markov state keep this share of itself; `variance`: what it has in the long run."""
     n = f.size[0]
     for i in range(n):
-        f.p[place, i] *= kept
+        f.p[index, i] *= kept
     for i in range(n):
-        f.p[i, place] *= kept
-    f.p[place, place] += (1.0 - kept * kept) * variance
-    f.x[place] *= kept
+        f.p[i, index] *= kept
+    f.p[index, index] += (1.0 - kept * kept) * variance
+    f.x[index] *= kept
     for c in range(len(f.particles.weight)):
-        f.particles.deviation[place, c] *= kept
+        f.particles.deviation[index, c] *= kept
 
 
 @lean

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.bound.cramer_rao import LEAST_SEEN, bound
+from cellslam.benchmarks.bound import DETECTIONS_OF_A_TRUE_VT
+from cellslam.benchmarks.bound.cramer_rao import bound
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.scores.statistics import efficiency_ratio
 from cellslam.benchmarks.scores.trial_result import TrialResult
@@ -33,7 +34,7 @@ def test_map_bound_equals_the_joint_kalman_recursion(make_recording: Any) -> Non
     m, truth = recording.measurements, recording.truth
     for vt in np.flatnonzero(seen):
         assert found.times_seen[vt] == len(np.unique(m.snapshot[truth.measurement_vt == vt]))
-    settled = found.std_m[found.times_seen >= LEAST_SEEN]
+    settled = found.std_m[found.times_seen >= DETECTIONS_OF_A_TRUE_VT]
     assert (
         len(settled)
         and found.over_time_m[50] == pytest.approx(found.over_time_m[59])
@@ -64,7 +65,7 @@ def test_a_filter_that_is_linear_about_the_truth_has_a_ratio_of_one(make_recordi
         bounds.append(row["bound_map_m"])
         rows.append({**row, "status": "ok"})
         kept = trajectory(recording, result, limit)
-        often = kept.map_times_seen >= LEAST_SEEN
+        often = kept.map_times_seen >= DETECTIONS_OF_A_TRUE_VT
         assert np.sqrt(np.mean(kept.map_error_m[often] ** 2)) == pytest.approx(row["map_rmse_m"], rel=1e-5)
     ratio, low, high = efficiency_ratio(np.array(errors), np.array(bounds), 0.95)
     assert 0.9 < ratio < 1.1 and low < 1.0 < high

@@ -57,11 +57,11 @@ def test_existence_sinks_with_misses_and_comes_back_with_a_measurement(one_filte
     one.put([3.0, -2.0, 1.5, 0.7, 0.1, -0.2], 5.0, [80.0, 0.5, 0.2])
     one.f.vts.slots[0, 1], one.f.vts.anchor[0, 3:5] = 5, 1.0
     none = one.seen(np.zeros((0, 3)), np.zeros((0, 3)))
-    believe(one.f, NO_ERRORS, none, 0, one.w.sight, one.w.pairs)
+    believe(one.f, NO_ERRORS, none, 0, one.w.jacobian, one.w.pairs)
     assert one.f.vts.anchor[0, EXISTS] == pytest.approx(0.9 * 0.2 / (1.0 - 0.9 * 0.8))
     h, _ = one.model(0)
     seen = one.seen(np.array([h, h + np.array([40.0, 0.5, 0.0])]), np.tile([0.3, 1e-4, 2e-4], (2, 1)))
-    believe(one.f, NO_ERRORS, seen, 0, one.w.sight, one.w.pairs)
+    believe(one.f, NO_ERRORS, seen, 0, one.w.jacobian, one.w.pairs)
     assert one.f.vts.anchor[0, EXISTS] > 0.99
     assert one.w.pairs.slot_of[:2].tolist() == [0, FRESH]
     assert one.w.pairs.exists[1] == pytest.approx(0.1 / 1.1)  # a new feature, or clutter

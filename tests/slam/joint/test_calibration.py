@@ -73,7 +73,7 @@ def test_second_drive_is_that_of_a_joint_filter_which_goes_on(
     # The filter of the first drive loses map and roof, and is put to the start of the second.
     whole, fresh = learnt._joint, goes_on._joint
     kept = whole.arrays._replace(**{name: getattr(whole.arrays, name).copy() for name in ("x", "p", "owner", "size")})
-    fields = whole.arrays.fields._replace(place=whole.arrays.fields.place.copy())
+    fields = whole.arrays.fields._replace(state=whole.arrays.fields.state.copy())
     kept = kept._replace(fields=fields, vts=whole.arrays.vts._replace(state=whole.arrays.vts.state.copy()))
     f, core = one_of(kept, 0), whole.core.size
     weights = 3 * calibration.grid.cells

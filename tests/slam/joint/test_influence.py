@@ -1,4 +1,4 @@
-"""What one VT may say of the filters of a mixture: bounds, bookkeeping, and a path that is the image of no wall."""
+"""How far one VT may change the weights of a mixture: bounds, bookkeeping, and a path that is the image of no wall."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.influence import BIRTH, MOST, bounded
 from cellslam.slam.joint.mixture import Mixture
 from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
-from cellslam.slam.joint.state.layout import IDENT, WORTH
+from cellslam.slam.joint.state.layout import IDENT, LOG_RATIO
 from tests.slam.driving import driven
 
 NONE = np.empty(0, np.int64)
@@ -32,11 +32,11 @@ def mixture() -> Mixture:
     return out
 
 
-def put(mixture: Mixture, k: int, worth: dict[int, float]) -> None:
-    """Let filter k have these VTs, by identity, and no others; `worth`: beyond what each costs."""
-    mixture.arrays.count[k] = len(worth)
-    for j, (ident, value) in enumerate(worth.items()):
-        mixture.arrays.vts.slots[k, j, IDENT], mixture.arrays.vts.anchor[k, j, WORTH] = ident, BIRTH + value
+def put(mixture: Mixture, k: int, log_ratio: dict[int, float]) -> None:
+    """Let filter k have these VTs, by identity, and no others; `log_ratio`: beyond what each costs."""
+    mixture.arrays.count[k] = len(log_ratio)
+    for j, (ident, value) in enumerate(log_ratio.items()):
+        mixture.arrays.vts.slots[k, j, IDENT], mixture.arrays.vts.anchor[k, j, LOG_RATIO] = ident, BIRTH + value
 
 
 def weighed(mixture: Mixture, association: Any = ((), ()), born: int = 1000) -> list[float]:
@@ -47,15 +47,15 @@ def weighed(mixture: Mixture, association: Any = ((), ()), born: int = 1000) -> 
 
 
 def test_a_path_says_no_less_than_clutter_and_little_against_a_filter() -> None:
-    worth = BIRTH + np.array([[2.0, -9.0, 50.0, -3.0], [1.5, 0.0, -20.0, 0.5]])
-    np.testing.assert_allclose(bounded(worth, np.arange(4), NONE), [-0.5, -0.5 - MOST])
+    log_ratio = BIRTH + np.array([[2.0, -9.0, 50.0, -3.0], [1.5, 0.0, -20.0, 0.5]])
+    np.testing.assert_allclose(bounded(log_ratio, np.arange(4), NONE), [-0.5, -0.5 - MOST])
     assert bounded(np.empty((2, 0)), np.empty(0), NONE).tolist() == [0.0, 0.0]
 
 
 def test_who_breaks_a_path_into_many_gains_nothing() -> None:
     """The second filter lost the path twice, and began it again: each VT costs, and together they are one path."""
-    worth = np.array([[90.0, 0.0, 0.0], [30.0, 30.0, 30.0]])
-    np.testing.assert_allclose(bounded(worth, np.array([5, 5, 5]), NONE), [0.0, -min(2.0 * BIRTH, MOST)])
+    log_ratio = np.array([[90.0, 0.0, 0.0], [30.0, 30.0, 30.0]])
+    np.testing.assert_allclose(bounded(log_ratio, np.array([5, 5, 5]), NONE), [0.0, -min(2.0 * BIRTH, MOST)])
 
 
 def test_a_filter_without_a_vt_loses_what_it_explains(mixture: Mixture) -> None:
@@ -65,7 +65,7 @@ def test_a_filter_without_a_vt_loses_what_it_explains(mixture: Mixture) -> None:
     assert weighed(mixture) == [-1.0, -2.0 - MOST]
 
 
-def test_what_a_lost_vt_was_worth_remains(mixture: Mixture) -> None:
+def test_the_log_ratio_of_a_lost_vt_remains(mixture: Mixture) -> None:
     put(mixture, 0, {7: 2.0, 9: 1.0})
     put(mixture, 1, {9: 1.5, 7: 1.0})
     before = weighed(mixture)
@@ -78,7 +78,7 @@ def test_what_a_lost_vt_was_worth_remains(mixture: Mixture) -> None:
     put(mixture, 0, {})
     put(mixture, 1, {})
     assert weighed(mixture) == before
-    assert mixture.influence.worth.shape == (2, 0)
+    assert mixture.influence.log_ratio.shape == (2, 0)
 
 
 def test_a_vt_that_begins_with_a_measurement_of_another_is_of_its_path(mixture: Mixture) -> None:

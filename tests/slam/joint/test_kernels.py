@@ -16,7 +16,7 @@ from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
 from cellslam.slam.joint.snapshot.association_kernel import expect, score_pairs
 from cellslam.slam.joint.snapshot.birth_kernel import give_birth
 from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, forget, move
-from cellslam.slam.joint.snapshot.sight_kernel import field, ground, rotations_of
+from cellslam.slam.joint.snapshot.observation_kernel import field, ground, rotations_of
 from cellslam.slam.joint.snapshot.sizes_kernel import DIFFUSE_SIZE, WHITE, count_diffuse, count_white
 from cellslam.slam.joint.snapshot.update_kernel import Vec3, add_up, compare, correct, gains, innovate, update
 from cellslam.slam.joint.state.layout import LAST, ArrayErrors, one_of
@@ -58,9 +58,9 @@ def test_prediction_and_jacobians_are_those_of_the_model(one_filter: Any, scale:
     np.testing.assert_allclose(by, slopes(expected, mean), rtol=1e-6, atol=1e-7)
     one.f.x[:n] = mean
     spread = (by @ p @ by.T)[np.triu_indices(3)]
-    _, hph = compare(one.f, NO_ERRORS, 0, one.offset, one.measurement(h, np.ones(3)), one.w.sight, one.w.pending)
+    _, hph = compare(one.f, NO_ERRORS, 0, one.offset, one.measurement(h, np.ones(3)), one.w.jacobian, one.w.pending)
     np.testing.assert_allclose(hph, spread, rtol=1e-10)
-    given = expect(one.f, NO_ERRORS, 0, one.offset, rotations_of(one.f), one.w.sight)
+    given = expect(one.f, NO_ERRORS, 0, one.offset, rotations_of(one.f), one.w.jacobian)
     np.testing.assert_allclose(given.hph, spread, rtol=1e-10)
     np.testing.assert_allclose(given.z, h, rtol=1e-12)
 
@@ -102,7 +102,7 @@ def test_birth_is_exact_and_correlated_with_all_states(one_filter: Any, scale: f
 
     one.f.vts.state[0] = -1
     given = np.concatenate([one.f.x[:n], z])
-    assert give_birth(one.f, NO_ERRORS, 0, one.offset, z, q, True, 1.0, 3, one.w.sight, one.w.pending)
+    assert give_birth(one.f, NO_ERRORS, 0, one.offset, z, q, True, 1.0, 3, one.w.jacobian, one.w.pending)
     at, by, p = one.f.vts.state[0, :3], slopes(born, given), one.f.p[: one.n, : one.n]
     np.testing.assert_array_equal(at, n + np.arange(3))
     np.testing.assert_allclose(one.f.x[at], born(given), rtol=1e-12)
@@ -122,7 +122,7 @@ def test_updates_are_textbook_kalman_updates_also_while_they_wait(one_filter: An
         n = len(mean)
         mean, cov, value = kalman(mean, cov, by[:, :n], np.array(e) - by @ (mean - begin), q)
         got = correct(
-            one.f, NO_ERRORS, j, OFFSET, one.measurement(h + e + turn, q), 1.0, one.rules, one.w.sight, one.w.pending
+            one.f, NO_ERRORS, j, OFFSET, one.measurement(h + e + turn, q), 1.0, one.rules, one.w.jacobian, one.w.pending
         )
         np.testing.assert_allclose(got, value, rtol=1e-8)
         np.testing.assert_array_equal(one.f.x[:n], begin)  # about which all measurements are linearised
@@ -148,7 +148,7 @@ def test_pairs_beyond_the_gate_are_none(one_filter: Any, kalman: Callable[..., A
         e /= np.sqrt(e[there] @ np.linalg.solve(s, e[there]))
         near, far = np.sqrt(16.3 - 0.01) * e, np.sqrt(16.3 + 0.01) * e
         seen = one.seen(h + np.array([near, far]), np.array([q, q]))
-        assert score_pairs(one.f, NO_ERRORS, seen, 0, one.w.sight, one.w.pairs) == 1
+        assert score_pairs(one.f, NO_ERRORS, seen, 0, one.w.jacobian, one.w.pairs) == 1
         assert one.w.pairs.score[0, 0] == pytest.approx(kalman(one.f.x[:10], p, by, near, q)[2])
         assert one.w.pairs.score[0, 1] == -np.inf
         assert one.w.pairs.gated[:2].tolist() == [1, 0]
@@ -166,25 +166,25 @@ def test_fields_are_one_kalman_filter_over_all_weights(one_filter: Any, kalman: 
     mean, cov, q = np.zeros(3 * g.cells), np.eye(3 * g.cells), np.array([0.1, 1e-4, 2e-4])
     for now in range(60):
         azimuth, elevation = rng.uniform(-3.0, 3.0), rng.uniform(-0.5, 0.8)
-        w.sight.size[0] = 0
-        value = field(f, g, std, 0, Spherical(1.0, azimuth, elevation), now, w.sight)
-        count = bells(g, azimuth, elevation, w.sight.cells, w.sight.values)
+        w.jacobian.size[0] = 0
+        value = field(f, g, std, 0, Spherical(1.0, azimuth, elevation), now, w.jacobian)
+        count = bells(g, azimuth, elevation, w.jacobian.cells, w.jacobian.values)
         row = np.zeros((3, len(mean)))
         for c in range(3):
-            row[c, c * g.cells + w.sight.cells[:count]] = std[c] * w.sight.values[:count]
+            row[c, c * g.cells + w.jacobian.cells[:count]] = std[c] * w.jacobian.values[:count]
         np.testing.assert_allclose(value, row @ mean, atol=1e-9)
         e = rng.normal(size=3) * [0.4, 0.02, 0.05]
         mean, cov, log_density = kalman(mean, cov, row, e, q)
-        hph = gains(f, w.sight, w.pending)
+        hph = gains(f, w.jacobian, w.pending)
         assert update(f, innovate(Vec3(*e), q, hph), w.pending) == pytest.approx(log_density, rel=1e-9, abs=1e-9)
         add_up(f, w.pending)
         if now == 30:  # give up some weights: in the joint filter they are marginalised, and met again as new ones
             for owner in list(f.owner[f.core.size : f.size[0]])[:20]:
-                leave(f, int(f.fields.place[owner]))
+                leave(f, int(f.fields.state[owner]))
                 mean[owner], cov[owner], cov[:, owner], cov[owner, owner] = 0.0, 0.0, 0.0, 1.0
-    met = np.flatnonzero(f.fields.place >= 0)
+    met = np.flatnonzero(f.fields.state >= 0)
     assert len(met) > 80
-    places = f.fields.place[met]
+    places = f.fields.state[met]
     np.testing.assert_allclose(f.x[places], mean[met], atol=1e-9)
     np.testing.assert_allclose(f.p[np.ix_(places, places)], cov[np.ix_(met, met)], atol=1e-9)
 
@@ -269,7 +269,7 @@ def test_the_mean_of_a_path_and_its_reflection_from_the_ground(
     one_filter: Any, elevation_deg: float, pull_deg: float
 ) -> None:
     one = one_filter(NO_ERRORS._replace(ground=0.5))
-    place, sight = one.f.core.ground, one.w.sight
+    place, sight = one.f.core.ground, one.w.jacobian
     assert one.f.p[place, place] == 0.5**2
     one.f.x[place], sight.size[0] = 2.0, 0
     value = ground(one.f, Spherical(100.0, 0.7, np.radians(elevation_deg)), sight)

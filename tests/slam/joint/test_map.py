@@ -16,8 +16,8 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Sites
 from cellslam.slam.api import Estimate, Setup
 from cellslam.slam.joint.ekf_slam import EkfSlam
+from cellslam.slam.joint.map_check import MapCheck
 from cellslam.slam.joint.map_states import WIDENED, Observed, Remembered, map_after, standing
-from cellslam.slam.joint.map_trial import MapTrial
 from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
 from cellslam.slam.joint.state.layout import ENTRY, UNSEEN, VT, block_of, one_of
 from cellslam.slam.model.measurement_model import jacobians
@@ -213,7 +213,7 @@ def test_a_wrong_map_is_noticed(
 
 
 @pytest.mark.parametrize(
-    ("snapshots", "believed", "refused"),
+    ("snapshots", "accepted", "rejected"),
     [
         ([(60, True)] * 25, True, ""),
         ([(40, True)] * 25, False, "40% of the measurements are of its VTs"),
@@ -222,15 +222,15 @@ def test_a_wrong_map_is_noticed(
         ([(0, False)] * 25 + [(100, True)], True, ""),
     ],
 )
-def test_a_map_that_explains_few_measurements_is_refused_once_clock_offsets_are_known(
-    snapshots: list[tuple[int, bool]], believed: bool, refused: str
+def test_a_map_that_explains_few_measurements_is_rejected_once_clock_offsets_are_known(
+    snapshots: list[tuple[int, bool]], accepted: bool, rejected: str
 ) -> None:
     """Of 100 measurements a snapshot so many are of the map's VTs, whose identities are 1000 and more."""
-    trial = MapTrial(range(1000, 2000))
+    check = MapCheck(range(1000, 2000))
     for ours, resolved in snapshots:
         same = Estimate(np.zeros(6), np.eye(6), np.arange(100) + 1000 * (np.arange(100) < ours))
-        trial.take(same, same, np.zeros(2), resolved=resolved, resolved_without=resolved)
-    assert trial.believed == believed and bool(trial.refused) == bool(refused) and refused in trial.refused
+        check.take(same, same, np.zeros(2), resolved=resolved, resolved_without=resolved)
+    assert check.accepted == accepted and bool(check.rejected) == bool(rejected) and rejected in check.rejected
 
 
 @pytest.mark.slow

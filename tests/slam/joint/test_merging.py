@@ -61,7 +61,7 @@ def turned_by(one_filter: Any, e_deg: float, **rules: float) -> float:
     q = np.array([0.3, np.radians(0.3) ** 2, 1e-3])
     z[1] += np.radians(e_deg)
     measurement = one.measurement(z, q)
-    correct(one.f, NO_ERRORS, 0, one.offset, measurement, 1.0, one.rules, one.w.sight, one.w.pending)
+    correct(one.f, NO_ERRORS, 0, one.offset, measurement, 1.0, one.rules, one.w.jacobian, one.w.pending)
     add_up(one.f, one.w.pending)
     return float(np.degrees(one.f.x[3] - POSE[3]))
 

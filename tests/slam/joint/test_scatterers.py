@@ -1,5 +1,5 @@
 """Scatterers beside mirror images: what is expected of them, how they begin, which kind a VT turns out to be, and that
-what is neither has no say."""
+what is neither stays tentative."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from cellslam.slam.api import VtEstimate
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.snapshot.birth_kernel import remove, scatterer_of
-from cellslam.slam.joint.snapshot.trial_kernel import UNTRIED, try_out
-from cellslam.slam.joint.state.layout import IDENT, LIGHT, MOST_SCORE, SCORE, SHARE
+from cellslam.slam.joint.snapshot.tentative_kernel import FIRST_SCORE, update_hypotheses
+from cellslam.slam.joint.state.layout import IDENT, ILLUMINATOR, MOST_SCORE, SCORE, WEIGHT
+from cellslam.slam.joint.state.layout import SCATTERER as IS_SCATTERER
 from tests.slam.conftest import OneFilter
 from tests.slam.driving import driven
 from tests.slam.scattered_worlds import WHITE, World, world
@@ -27,19 +28,20 @@ TRANSMITTER, SCATTERER = (12.0, 0.4, 0.1), (7.0, -0.9, 0.05)  # range, azimuth, 
 Q = np.array([0.1, 0.01, 0.01]) ** 2
 
 
-def lit_filter(one_filter: type[OneFilter], scale: float | None = None) -> OneFilter:
-    """A filter with a transmitter, VT 0, which lights VT 1."""
+def filter_with_scatterer(one_filter: type[OneFilter], scale: float | None = None) -> OneFilter:
+    """A filter with a transmitter, VT 0, which illuminates VT 1, a scatterer."""
     one = one_filter(scale=scale)
     one.put([1.0, 0.5, 0.2, 0.3, 0.02, 0.01], 4.0, TRANSMITTER, SCATTERER)
-    one.f.vts.slots[:2, IDENT], one.f.vts.slots[1, LIGHT], one.f.lights[0] = [5, 6], 1, 1
+    one.f.vts.slots[:2, IDENT], one.f.illuminators[0] = [5, 6], 0
+    one.f.vts.slots[1, [IS_SCATTERER, ILLUMINATOR]] = 1, 0
     return one
 
 
 def test_the_path_over_a_scatterer_is_as_long_as_both_ways(one_filter: type[OneFilter]) -> None:
-    one = lit_filter(one_filter, scale=0.05)
-    here, point, light = one.f.x[:3], one.place(1), one.place(0)
+    one = filter_with_scatterer(one_filter, scale=0.05)
+    here, point, illuminator = one.f.x[:3], one.place(1), one.place(0)
     z, h = one.model(1)
-    assert z[0] == pytest.approx(1.05 * (np.linalg.norm(point - here) + np.linalg.norm(point - light)) + 4.0)
+    assert z[0] == pytest.approx(1.05 * (np.linalg.norm(point - here) + np.linalg.norm(point - illuminator)) + 4.0)
     for i in range(one.n):
         before, step = one.f.x[i], 1e-6
         one.f.x[i] = before + step
@@ -51,67 +53,72 @@ def test_the_path_over_a_scatterer_is_as_long_as_both_ways(one_filter: type[OneF
 def test_a_scatterer_begins_where_the_ray_meets_the_ellipsoid(one_filter: type[OneFilter]) -> None:
     one = one_filter()
     one.put(np.zeros(6), 0.0, TRANSMITTER, (20.0, -0.9, 0.05), anchor=(1.0, 2.0, 0.0))
-    one.f.vts.slots[:2, IDENT], one.f.lights[0] = [5, 6], 1
+    one.f.vts.slots[:2, IDENT], one.f.illuminators[0] = [5, 6], 0
     p = one.spread(0.1 * np.random.default_rng(1).standard_normal((one.n, one.n)))
     n = one.n
 
     def length(x: Floats) -> Floats:
         """Return the scatterer's coordinates for a state x, by bisection."""
         kept, one.f.x[:n] = one.f.x[:n].copy(), x
-        light, anchor = one.place(0), one.f.vts.anchor[1, :3]
+        illuminator, anchor = one.place(0), one.f.vts.anchor[1, :3]
         total, az, el = x[one.f.vts.state[1, :3]]
         u = np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
         low, high = 0.0, total
         for _ in range(60):
             middle = 0.5 * (low + high)
-            too_long = middle + np.linalg.norm(anchor + middle * u - light) > total
+            too_long = middle + np.linalg.norm(anchor + middle * u - illuminator) > total
             low, high = (low, middle) if too_long else (middle, high)
         one.f.x[:n] = kept
         return np.array([low, az, el])
 
     x = one.f.x[:n].copy()
     by = np.stack([(length(x + 1e-5 * e) - length(x - 1e-5 * e)) / 2e-5 for e in np.eye(n)], axis=1)
-    scatterer_of(one.f, one.block, 1)
+    scatterer_of(one.f, one.block, 1, one.w.jacobian, one.w.pending)
     at = one.f.vts.state[2, :3]
     np.testing.assert_allclose(one.f.x[at], length(x), atol=1e-9)
     np.testing.assert_allclose(one.f.p[np.ix_(at, np.arange(n))], by @ p, atol=1e-6)
     np.testing.assert_allclose(one.f.p[np.ix_(at, at)], by @ p @ by.T, atol=1e-6)
-    assert one.f.vts.slots[:3, LIGHT].tolist() == [0, -1, 1]
-    assert one.f.vts.anchor[1:3, SHARE].tolist() == [0.5, 0.5]
+    assert one.f.vts.slots[:3, IS_SCATTERER].tolist() == [0, 0, 1]
+    assert one.f.vts.slots[:3, ILLUMINATOR].tolist() == [-1, 0, 0]
+    assert one.f.vts.anchor[1:3, WEIGHT].tolist() == [0.5, 0.5]
 
 
-def test_what_a_lost_light_has_lit_is_lost_and_others_keep_theirs(one_filter: type[OneFilter]) -> None:
+def test_scatterers_go_with_their_illuminator_and_others_keep_theirs(one_filter: type[OneFilter]) -> None:
     one = one_filter()
     one.put(np.zeros(6), 0.0, TRANSMITTER, SCATTERER, SCATTERER, TRANSMITTER, SCATTERER)
-    one.f.vts.slots[:5, LIGHT], one.f.lights[0] = [0, 1, -1, 0, 4], 4
+    one.f.vts.slots[:5, IS_SCATTERER], one.f.illuminators[0] = [0, 1, 0, 0, 1], 3
+    illuminator = one.f.vts.slots[:5, ILLUMINATOR]
+    illuminator[:] = [-1, 0, 0, -1, 3]
     remove(one.f, one.block, 1)  # VT 4 takes its number
-    assert one.f.vts.slots[:4, LIGHT].tolist() == [0, 4, -1, 0]
-    remove(one.f, one.block, 0)  # VT 3, the light of VT 1, takes its number
-    assert one.f.lights[0] == 1 and one.f.vts.slots[:3, LIGHT].tolist() == [0, 1, 0]
+    assert illuminator[:4].tolist() == [-1, 3, 0, -1]
+    remove(one.f, one.block, 0)  # VT 3, the illuminator of VT 1, takes its number
+    assert one.f.illuminators[0] == 0 and illuminator[:3].tolist() == [-1, 0, -1]
     remove(one.f, one.block, 0)
-    assert one.f.lights[0] == 0 and (one.f.vts.slots[:2, LIGHT] == 0).all()
-    assert sorted(one.f.vts.anchor[:2, SHARE].tolist()) == [0.0, 1.0]  # a mirror image needs no light
+    assert one.f.illuminators[0] == -1 and (illuminator[:2] == -1).all()
+    assert sorted(one.f.vts.anchor[:2, WEIGHT].tolist()) == [0.0, 1.0]  # a mirror image needs no illuminator
 
 
 @pytest.mark.parametrize("off", [0.5, 8.0])
-def test_a_vt_has_its_say_when_measurements_fit_and_loses_it_when_they_no_longer_do(
+def test_a_vt_is_confirmed_by_measurements_that_fit_and_deleted_by_those_that_do_not(
     one_filter: type[OneFilter], off: float
 ) -> None:
     one = one_filter(scatterers=True)
     one.put(np.zeros(6), 0.0, TRANSMITTER)
     one.spread(0.001 * np.eye(one.n))
-    one.f.vts.anchor[0, SCORE] = UNTRIED
+    one.f.vts.anchor[0, SCORE] = FIRST_SCORE
     for n in range(12):
         deviation = 0.5 if n < 4 else off * (-1.0) ** n
         z = one.model(0)[0] + deviation * np.sqrt(Q)
-        try_out(one.f, one.errors, 0, one.offset, one.measurement(z, Q), 9.0, one.rules, one.w.sight, one.w.pending)
+        update_hypotheses(
+            one.f, one.errors, 0, one.offset, one.measurement(z, Q), 9.0, one.rules, one.w.jacobian, one.w.pending
+        )
         if n == 0:
             assert one.f.vts.anchor[0, SCORE] < 0.0 and not one.w.pending.added[:6].any()  # the pose learns nothing yet
-        if one.f.vts.anchor[0, SHARE] == 0.0:
+        if one.f.vts.anchor[0, WEIGHT] == 0.0:
             break
         if n == 3:
             assert one.f.vts.anchor[0, SCORE] == MOST_SCORE and one.w.pending.added[:6].any()
-    assert (one.f.vts.anchor[0, SHARE] == 1.0) == (off < 1.0)
+    assert (one.f.vts.anchor[0, WEIGHT] == 1.0) == (off < 1.0)
 
 
 def of(w: World, rows: Any) -> Recording:
@@ -146,10 +153,10 @@ def test_random_paths_do_not_spoil_the_line_of_sight(estimator: Any) -> None:
     answers = driven(estimator(estimator.Options(**WHITE)), w.recording)
     alone = driven(estimator(estimator.Options(**WHITE)), of(w, w.of == 0))
     assert w.rmse_m(answers) < 1.2 * w.rmse_m(alone)
-    assert len(answers[-1].vts.id) <= 2  # nothing that has no say is in the map
+    assert len(answers[-1].vts.id) <= 2  # nothing that is tentative is in the map
 
 
-def test_a_transmitter_seen_late_lights_what_was_there_before() -> None:
+def test_a_transmitter_seen_late_illuminates_what_was_there_before() -> None:
     w = world(6, 0.6, features=20, steps=160)
     late = of(w, (w.of != 0) | (w.recording.measurements.snapshot > 25))
     check_map(driven(EkfSlam(EkfSlam.Options(**WHITE)), late)[-1].vts, w)

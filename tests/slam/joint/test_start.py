@@ -34,7 +34,7 @@ def mixture() -> Mixture:
 def test_moments_are_those_of_the_mixture(mixture: Mixture) -> None:
     weight, size = np.array([0.7, 0.299, 0.001]), mixture.core.size
     x, p = mixture.arrays.x[:, :size], mixture.arrays.p[:, :size, :size]
-    np.testing.assert_allclose(mixture.shares(), weight, rtol=1e-12)
+    np.testing.assert_allclose(mixture.weights(), weight, rtol=1e-12)
     mean, cov = mixture.moments()
     want = weight @ x
     np.testing.assert_allclose(mean, want, rtol=1e-12)

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from cellslam.sim.compiling import njit
-from cellslam.slam.joint.snapshot.sight_kernel import rotations_of
+from cellslam.slam.joint.snapshot.observation_kernel import rotations_of
 from cellslam.slam.joint.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
 from cellslam.slam.joint.snapshot.update_kernel import BlockMeasurement, add_up, correct
 from cellslam.slam.joint.state.layout import LAST
@@ -45,7 +45,7 @@ def block(f, errors, offset, z, q, rules, sight, pending):
 def use(one, z):
     """Take measurements z (m, 3) at all VTs in as one block; return what it adds to the log-likelihood, and steps
     alone."""
-    density, steps = block(one.f, one.errors, one.offset, z, Q, one.rules, one.w.sight, one.w.pending)
+    density, steps = block(one.f, one.errors, one.offset, z, Q, one.rules, one.w.jacobian, one.w.pending)
     return density + steps, steps
 
 
@@ -108,6 +108,6 @@ def test_a_large_step_is_found_where_nothing_associates(one_filter, step_m, meas
     z = np.array([one.model(j)[0] + [step_m, 0.0, 0.0] for j in range(measurements)])
     seen, room = one.seen(z, np.tile(Q, (measurements, 1))), one.w
     room.pairs.slot_of[:], one.f.vts.slots[:, LAST] = -1 if step_m else 0, last
-    found = [shift_clocks(one.f, one.block, one.errors, seen, room.sight, room.pairs) for _ in range(snapshots or 6)]
+    found = [shift_clocks(one.f, one.block, one.errors, seen, room.jacobian, room.pairs) for _ in range(snapshots or 6)]
     assert found == [False] * (len(found) - 1) + [snapshots is not None]
     assert one.f.x[one.offset] == pytest.approx(5.0 + (step_m if snapshots else 0.0), abs=1e-9)

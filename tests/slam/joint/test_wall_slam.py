@@ -10,8 +10,8 @@ import pytest
 
 from cellslam.sim.frames import unit_vector, wrap_angle
 from cellslam.slam.joint import wall_images
-from cellslam.slam.joint.state.layout import EXISTS, HITS, IDENT, LINK, SHARE, SURVEYED, UNSEEN
-from cellslam.slam.joint.wall_images import Double, Flatness, apart, best_pair, images_of, impose, place_of
+from cellslam.slam.joint.state.layout import EXISTS, HITS, IDENT, LINK, SURVEYED, UNSEEN, WEIGHT
+from cellslam.slam.joint.wall_images import Double, Flatness, apart, best_pair, images_of, impose, position_of
 from cellslam.slam.joint.wall_slam import Facades
 from cellslam.slam.model.measurement_model import jacobians, predict
 
@@ -34,7 +34,7 @@ def filter_of(one_filter, vts, std, rng=None):
     f, first, n = one.f, one.mixture.core.size, 3 * len(vts)
     for j, (link, _) in enumerate(vts):
         f.vts.slots[j, [LINK, HITS, IDENT, UNSEEN]] = link, 50, 10 + j, 0
-        f.vts.anchor[j, [EXISTS, SHARE]] = 1.0
+        f.vts.anchor[j, [EXISTS, WEIGHT]] = 1.0
     f.count[0] = len(vts)
     # Errors that all VTs share, beside those of their own: as those of a pose in common.
     scale = std * np.concatenate([[1.0, 1.0 / s[0], 1.0 / s[0]] for s in spherical])
@@ -77,7 +77,7 @@ def facades_of(f):
 
 def one_wall(f):
     """Log-odds that the images in the wall to the north are of one wall."""
-    return wall_images.log_odds(f, apart(f, *pair(f)), FLAT.covariance, wall_images.ROOM)
+    return wall_images.log_odds(f, apart(f, *pair(f)), FLAT.covariance, wall_images.AREA)
 
 
 def test_the_site_is_the_vt_that_is_nearest_wherever_others_are_seen(one_filter):
@@ -110,7 +110,7 @@ def test_errors_that_two_images_have_in_common_do_not_set_them_apart(one_filter)
     f, at = filter_of(one_filter, scene(), 0.5)
     far = one_wall(f)
     # All sites and images may be shifted to the north, together.
-    shift = np.concatenate([np.linalg.pinv(place_of(f, np.array([j]))[1][0]) @ [0.0, 30.0] for j in range(8)])
+    shift = np.concatenate([np.linalg.pinv(position_of(f, np.array([j]))[1][0]) @ [0.0, 30.0] for j in range(8)])
     f.p[at, at] += np.outer(shift, shift)
     assert one_wall(f) == pytest.approx(far, abs=1e-6)
 

@@ -6,9 +6,9 @@ so do first measurements of its VTs that are farther off than its covariance say
 of its VTs.
 
 Sources: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.4,
-for squared innovations; Hausman, "Specification tests in econometrics", Econometrica 46(6), 1978, for the two filters:
-an efficient estimate against one that is right even where the assumption is wrong. Here the sum of the covariances is
-taken for that of the difference, which errs on the side of the map.
+for normalised innovations squared; Hausman, "Specification tests in econometrics", Econometrica 46(6), 1978, for the
+two filters: an efficient estimate against one that is right even where the assumption is wrong. Here the sum of the
+covariances is taken for that of the difference, which errs on the side of the map.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from cellslam.sim.recording import Floats
 from cellslam.slam.api import Estimate
 
 APART = 30.0  # squared deviations of their difference beyond which two estimates do not agree
-LASTING = 20  # snapshots for which they do not, so that the map is refused
+LASTING = 20  # snapshots for which they do not, so that the map is rejected
 FLOOR = np.array([0.1, 0.1, 0.005])  # what x, y (m) and yaw (rad) may differ by at any time
 OFFSET_FLOOR_M = 0.5  # what clock offsets may
-TRIAL_M = 100.0  # a trial is over after such a distance with clock offsets that are known without the map, too
-FEW, MANY = 50, 2000  # measurements after which a map is believed, and after which it must be
+CHECKED_M = 100.0  # the check is over after such a distance with clock offsets that are known without the map, too
+FEW, MANY = 50, 2000  # measurements after which a map is accepted, and after which it must be
 LEAST_SHARE = 0.5  # of the measurements that are of the map's VTs
-SURPRISED = 4.0  # deviations by which first measurements may be farther off than assumed
-LEAST = 9.0  # components of first measurements that tell
+MOST_NIS = 4.0  # deviations by which the innovations squared of first measurements may exceed their mean
+LEAST_COMPONENTS = 9.0  # of first measurements, by which a map may be rejected
 PLANE = np.array([0, 1, 3])
 WIDE = 0.3  # rad; where the heading is not known as well, a Gaussian does not say where the vehicle is
 
 
-class MapTrial:
-    """The trial of a map whose VTs have the identities `ours`."""
+class MapCheck:
+    """The check of a map whose VTs have the identities `ours`."""
 
     def __init__(self, ours: range) -> None:
         self._ours, self._distance_m, self._lasting = ours, 0.0, 0
         self._last: Floats | None = None
         self._measurements = self._known = 0
-        self._surprise = np.zeros(2)
+        self._nis = np.zeros(2)
 
     def take(
-        self, with_map: Estimate, without: Estimate, surprise: Floats, *, resolved: bool, resolved_without: bool
+        self, with_map: Estimate, without: Estimate, nis: Floats, *, resolved: bool, resolved_without: bool
     ) -> None:
-        """Take in what both filters answer to a snapshot; `surprise` (2,): of first measurements of the map's VTs, as
-        of a filter; `resolved`, `resolved_without`: whether each knows its clock offsets. Measurements with
-        offsets that are not known say nothing of the map: the likeliest may be a wrong one."""
-        self._surprise = surprise
+        """Take in what both filters answer to a snapshot; `nis` (2,): of first measurements of the map's VTs, as in
+        `layout.Learnt`; `resolved`, `resolved_without`: whether each knows its clock offsets. Measurements with offsets
+        that are not known are no evidence: the likeliest may be a wrong one."""
+        self._nis = nis
         if self._last is not None and resolved_without:
             self._distance_m += float(np.linalg.norm(with_map.pose[:2] - self._last))
         self._last = with_map.pose[:2]
@@ -63,11 +63,11 @@ class MapTrial:
         return self._known / max(self._measurements, 1)
 
     @property
-    def refused(self) -> str:
+    def rejected(self) -> str:
         """Why the map does not fit, in a line; empty: it may."""
-        squares, count = self._surprise
+        squares, count = self._nis
         why = ""
-        if count >= LEAST and squares - count > SURPRISED * np.sqrt(2.0 * count):
+        if count >= LEAST_COMPONENTS and squares - count > MOST_NIS * np.sqrt(2.0 * count):
             why = f"first measurements of its VTs are {np.sqrt(squares / count):.1f} times as far off as they may be"
         elif self._lasting >= LASTING:
             why = "with it vehicle or clocks would be where they cannot be without it"
@@ -76,14 +76,14 @@ class MapTrial:
         return why and f"the map does not fit: {why}; the drive goes on without it"
 
     @property
-    def believed(self) -> bool:
+    def accepted(self) -> bool:
         """Whether the map fits so far."""
-        return self._measurements >= FEW and self._share >= LEAST_SHARE and not self.refused
+        return self._measurements >= FEW and self._share >= LEAST_SHARE and not self.rejected
 
     @property
     def over(self) -> bool:
-        """Whether the map has been tried for long enough."""
-        return self._distance_m >= TRIAL_M and self._measurements >= MANY
+        """Whether the map has been checked for long enough."""
+        return self._distance_m >= CHECKED_M and self._measurements >= MANY
 
 
 def distance2(a: Estimate, b: Estimate) -> float:
