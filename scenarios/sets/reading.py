@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from cellslam.sim.data_files import text_of
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.recording.packing import SNAPSHOT, Packed, mapped
 
+KEPT = 4096  # drives that stay mapped
 MEASURED = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db", "distance_std_m", "azimuth_std_rad",
             "elevation_std_rad")  # fmt: skip
 
@@ -106,7 +107,13 @@ def drives_of(folder: str | Path, split: str = "train") -> list[Drive]:
     """Return the drives of a split of the set in `folder`. Raises InputError."""
     if split not in (*SPLITS, TRUTH):
         raise unknown_name("split", split, (*SPLITS, TRUTH))
-    return [Drive(Path(folder) / row.file, row) for row in index_of(folder) if row.split == split]
+    return [_drive(Path(folder).absolute() / row.file, row) for row in index_of(folder) if row.split == split]
+
+
+@lru_cache(maxsize=KEPT)
+def _drive(path: Path, row: Row) -> Drive:
+    """Return a drive, the same each time: a set is read again and again, and checked once in a process."""
+    return Drive(path, row)
 
 
 def _row(values: dict[str, Any]) -> Row:
