@@ -131,10 +131,12 @@ def test_the_card_says_what_is_there(whole: Path) -> None:
     assert sets == {f"{split}/*.h5" for split in ("train", "validation", "test", TRUTH)}
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the validator's own dependencies
 def test_the_card_passes_the_validator_of_the_format(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     croissant = pytest.importorskip("mlcroissant", reason="mlcroissant is not installed")
     monkeypatch.chdir(whole)
     dataset = croissant.Dataset(CARD)
+    assert not dataset.metadata.ctx.issues.errors and not dataset.metadata.ctx.issues.warnings
     assert len(list(dataset.records("drives"))) == 8
 
 
