@@ -63,8 +63,8 @@ class Drive:
             return mapped(self.path)
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from error
-        except OSError as error:
-            raise InputError(f"{self.path}: cannot be read ({error.strerror or error}); make the set again") from error
+        except (OSError, KeyError, ValueError, RuntimeError) as error:
+            raise InputError(f"{self.path}: cannot be read ({error}); make the set again") from error
 
     @cached_property
     def rows(self) -> NDArray[np.int64]:
