@@ -49,8 +49,7 @@ def _starts(drives: list[Drive], length: int, shuffle: np.random.Generator | Non
     """Return drive and first snapshot (N, 2) of each window, in the order in which they are given."""
     out = [np.empty((0, 2), np.int64)]
     for number, drive in enumerate(drives):
-        spare = drive.row.snapshots % length if drive.row.snapshots >= length else -1
-        begin = 0 if shuffle is None or spare < 0 else int(shuffle.integers(spare + 1))
+        begin = 0 if shuffle is None else int(shuffle.integers(drive.row.snapshots % length + 1))
         first = np.arange(begin, drive.row.snapshots - length + 1, length)
         out.append(np.stack([np.full(len(first), number), first], axis=1))
     starts = np.concatenate(out)
