@@ -124,7 +124,7 @@ def _provenance_of(path: Path) -> dict[str, Any]:
     try:
         with damage.opened(path) as file:
             return dict(json.loads(file["provenance"][()]))
-    except (OSError, KeyError, ValueError) as error:
+    except (InputError, OSError, KeyError, ValueError) as error:
         raise InputError(f"{path}: damaged ({error}): delete it, and make the set again") from error
 
 
