@@ -70,7 +70,7 @@ def _panel(axis: Any, spectrum: Spectrum, true: Floats, found: Floats, clock_m: 
     """Draw one link; lengths without the clock offset. `ahead_m`: by how much the window's zero is early."""
     level = spectrum.power.energy.reshape(AZIMUTHS, ELEVATIONS, -1).max(axis=1) / spectrum.power.noise
     azimuth = np.degrees(2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS - np.pi)
-    length = spectrum.receiver.delays_m - ahead_m
+    length = spectrum.motion.receiver.delays_m - ahead_m
     picture = axis.pcolormesh(
         length, azimuth, 10.0 * np.log10(np.maximum(level, 1e-3)), vmin=5.0, vmax=40.0, cmap="Greys", shading="nearest",
         rasterized=True,

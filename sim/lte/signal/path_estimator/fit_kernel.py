@@ -147,9 +147,10 @@ def _write_tones(distance: float, rate: Array, out: Array) -> None:
 def on_ports_of(geometry: Array, weights: Array, m: SteeringModel) -> Array:
     """Return what paths at `geometry` (n, 3) with weights (n, 2) give the ports (n, ports), in single precision."""
     value, _, _ = steer(geometry[:, 1].copy(), geometry[:, 2].copy(), m)
-    out = np.empty(value.shape[:2], np.complex64)
-    for p in range(len(geometry)):
-        for port in range(out.shape[1]):
+    n, ports, _ = value.shape
+    out = np.empty((n, ports), np.complex64)
+    for p in range(n):
+        for port in range(ports):
             out[p, port] = value[p, port, 0] * weights[p, 0] + value[p, port, 1] * weights[p, 1]
     return out
 
