@@ -9,7 +9,7 @@ Samples y (ports x tones) of n paths at theta = (distance d, azimuth, elevation)
       information  J = Re(D^H D - C G^-1 C^H),   gradient  g = Re(D^H (y - A w))    `fit_kernel._normal_equations`
       step         (J + lambda diag J) step = g                                     `fit_kernel.climb`
     energy      W_p = w_p^H ((G^-1)_pp)^-1 w_p: what would be lost with path p      `fit_kernel._wald`
-    search      the strongest cell (direction k, delay d) of the residual's energy
+    search      the strongest peak (direction k, delay d) of the residual's energy
                 that exceeds the threshold times its surroundings                   `search_kernel.standing_out`
     order       p stays while W_p > threshold sigma_p^2, sigma_p^2: the
                 disturbance around it, and while its deviations are small           `acquire_kernel.judged`
