@@ -15,7 +15,7 @@ import math
 COARSE_SHARE = 0.58  # of a cell that is tried: between the cells of the grid up to 2.4 dB are lost
 PROMISING_SHARE = 0.85  # of what the first step of a one-path fit promises: less never becomes a path
 FARTHEST_M, FARTHEST_RAD = 22.5, math.radians(20.0)  # that a one-path fit may end from its cell: else another's peak
-MOST_FAILURES = 5  # cells that turn out to be noise or diffuse energy before the search ends
+MOST_FAILURES = 10  # cells that turn out to be noise or diffuse energy before the search ends
 MOST_PATHS = 32  # of one link: more than any traced scene has
 JOINT_EVERY = 4  # paths found one by one before all are fitted jointly
 
