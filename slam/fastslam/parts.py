@@ -32,9 +32,9 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from cellslam.sim.errors import InputError, one_line, unknown_name
+from cellslam.sim.own_code import seek_here
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.resampling import SCHEMES
-from cellslam.slam.registry import seek_here
 
 Bools = NDArray[np.bool_]
 NO_VT = -1  # a measurement of no candidate
