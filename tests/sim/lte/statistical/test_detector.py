@@ -86,6 +86,15 @@ def test_snr_by_hand(
     np.testing.assert_allclose(d.measurements.snr_db, snr_db, atol=0.01)
 
 
+def test_a_cell_is_received_by_the_angle_off_its_boresight() -> None:
+    # A path departs at 1 rad: along the first cell's boresight, 57.3 degrees off the second's, 97.3 off the third's.
+    paths, cells = make_paths(np.array([[100.0, 0.0, 0.0]]), np.array([1e-6]), 1, 1.0), make_cells(57.2958, 0.0, -40.0)
+    streams = Streams.spawn(np.random.default_rng(1))
+    d = detect(quiet(snr_cap_db=60.0), cells, paths, np.zeros((1, 6)), np.zeros(1), FIELDS, streams)
+    loss_db = np.array([0.0, 12.0 * (57.2958 / 70.0) ** 2, 12.0 * (97.2958 / 70.0) ** 2])
+    np.testing.assert_allclose(d.measurements.snr_db, 30.0 - 120.0 - 2.16 + 123.0 - loss_db, atol=0.01)
+
+
 def test_ports_are_slanted() -> None:
     # A path that passes only what is sent at +45 degrees: the second port gets nothing through it.
     paths = make_paths(np.array([[100.0, 0.0, 0.0]]), np.array([1.0]), 1)
