@@ -43,7 +43,7 @@ from cellslam.slam.measurements.measurement_options import MeasurementOptions
 from cellslam.slam.measurements.readings import LEAST
 from cellslam.slam.model.matrices_kernel import Vec3
 
-CHANCE, LEAST_BLOCKS = 0.01, 5
+CHANCE, LEAST_BLOCKS = 0.05, 5
 OTHER = 0.1  # share of measurements that are of no VT that the filter knows
 # Lengths of blocks in turn, how many turns a drive has at least and at most, and how long one is in between, s.
 LENGTHS, LEAST_TURNS, MOST_TURNS, TURN_S = (1.0, 2.0, 4.0), 8, 20, 35.0
@@ -62,7 +62,7 @@ class Worth:
 
     @property
     def sure(self) -> bool:
-        """Whether it is better, and not by chance: Student's t test of paired differences, one-sided, of 1 %."""
+        """Whether it is better, and not by chance: Student's t test of paired differences, one-sided, of 5 %."""
         return self.blocks >= LEAST_BLOCKS and self.mean > self.std * float(stdtrit(self.blocks - 1, 1.0 - CHANCE))
 
     def __str__(self) -> str:
