@@ -34,12 +34,16 @@ function metricsIn(present) {
   return Object.entries(data.metrics).filter(([name]) => present(name));
 }
 
+const SYMBOLS = ["circle", "square", "diamond", "triangle-up", "cross", "x", "star"];
+
+// Where lines meet, the last one is seen, and those before it on both sides of it.
 function curveTraces(curve, metric) {
   const traces = [];
   const places = curve.lines.flatMap((line) => (line.metrics[metric] || [[]])[0]).filter((x) => x !== null);
   const ends = [Math.min(...places), Math.max(...places)];
-  for (const line of curve.lines) {
+  for (const [place, line] of curve.lines.entries()) {
     if (!line.metrics[metric]) continue;
+    const width = 2 + 1.5 * Math.min(curve.lines.length - 1 - place, 3);
     const [x, middle, low, high] = line.metrics[metric];
     if (x.includes(null)) {
       if (low[0] !== null) {
@@ -50,7 +54,8 @@ function curveTraces(curve, metric) {
       continue;
     }
     const reach = (end) => end.map((value, i) => (value === null || value === middle[i] ? null : Math.abs(value - middle[i])));
-    traces.push({ x, y: middle, name: line.name, mode: "lines+markers", line: { color: line.colour },
+    traces.push({ x, y: middle, name: line.name, mode: "lines+markers", line: { color: line.colour, dash: line.dash, width },
+      marker: { symbol: SYMBOLS[place % SYMBOLS.length], size: 6 + width },
       error_y: { type: "data", symmetric: false, array: reach(high), arrayminus: reach(low), thickness: 1.2, width: 4 } });
   }
   return [traces, ends[0] > 0 && ends[1] >= 10 * ends[0] ? "log" : "linear"];
