@@ -8,6 +8,7 @@ The first ten minutes, in a notebook:
     recording = cellslam.simulate("tiny", seed=1)                       # what was measured, and the truth
     cellslam.replay(recording, "fastslam")                              # estimators on one recording
     cellslam.sweep("tiny", {"radio.load": [0.0, 0.5]}, "results/load").table()  # variants, in parallel, resumed
+    for batch in cellslam.windows("learn-lund", 64, 32): ...            # drives of a set, to learn from
 
 `cellslam --help` has the same as commands. Everything is loaded when it is first used.
 """
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from cellslam.recordings.inspection.inspection import plot
     from cellslam.scenarios.loading import load, preset_names
     from cellslam.scenarios.scenario import Scenario
+    from cellslam.scenarios.sets.windows import windows
     from cellslam.scenarios.simulation import simulate
     from cellslam.sim.errors import InputError
     from cellslam.sim.rays.tracing import trace
@@ -44,6 +46,7 @@ _NAMES = {
     "python_api": ("SweepView", "TrialView", "replay", "run", "sweep", "trial"),
     "scenarios.loading": ("load", "preset_names"),
     "scenarios.scenario": ("Scenario",),
+    "scenarios.sets.windows": ("windows",),
     "scenarios.simulation": ("simulate",),
     "sim.errors": ("InputError",),
     "sim.rays.tracing": ("trace",),
@@ -59,6 +62,7 @@ __all__ = [
     "Calibration", "Estimate", "Estimator", "InputError", "Recording", "Scenario", "Setup", "Snapshot", "SweepView",
     "TrialView", "VtEstimate", "VtMap", "WallEstimate", "__version__", "comparison", "estimator_names", "join_maps",
     "load", "plot", "preset_names", "replay", "results", "run", "simulate", "summary", "sweep", "trace", "trial",
+    "windows",
 ]  # fmt: skip
 
 if sys.platform == "win32":

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from cellslam.benchmarks.bound.persisting_states import Seen, persisting_errors
 from cellslam.benchmarks.bound.products_kernel import Sparse
+from cellslam.sim.errors import InputError
 from cellslam.sim.frames import held, integrate_pose, mean_velocity, pose_jacobians, wrap_angle
 from cellslam.sim.recording import Floats, Ints, OdometryModel, Recording, Sites, Truth
 from cellslam.slam.model.measurement_model import jacobians, predict
@@ -350,6 +351,8 @@ def _values(recording: Recording, rows: Ints) -> Floats:
 def _white_variance(recording: Recording, truth: Truth, rows: Ints, distance_m: Floats, persisting: Floats) -> Floats:
     """Return the variances (n, 3) of the white errors of measurements `rows` (n,); infinite: not measured."""
     variance = truth.measurement_std[rows] ** 2 - persisting
+    if len(rows) and np.isnan(variance).all():
+        raise InputError("truth.measurement_std is not known, as in a set of drives: the bound needs it")
     smallest = SMALLEST_STD * np.stack([distance_m, np.ones(len(rows)), np.ones(len(rows))], axis=1)
     there = np.isfinite(_values(recording, rows)) & np.isfinite(variance)
     return np.where(there, np.maximum(variance, smallest**2), np.inf)

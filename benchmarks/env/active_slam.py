@@ -86,7 +86,7 @@ class ActiveSlamEnv(ScenarioEnv):
         self.decision_snapshots, self.top_speed_mps = decision_snapshots, top_speed_mps
         self.uncertainty_weight, self.lost_m = uncertainty_weight, lost_m
         self._limit_s, self._name = time_limit_s, estimator
-        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float64)
+        self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space: spaces.Space[Any] = spaces.Dict(
             {
                 "belief": spaces.Box(-WIDE, WIDE, dtype=np.float64),
@@ -101,14 +101,12 @@ class ActiveSlamEnv(ScenarioEnv):
         """Hold steering angle and speed, an action (2,) as shares of their limits in [-1, 1], for some snapshots."""
         wanted = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         steering, speed = float(wanted[0]) * STEERING_LIMIT_RAD, 0.5 * (float(wanted[1]) + 1.0) * self.top_speed_mps
-        before, cost, reason = self._arc_m, 0.0, ""
-        for _ in range(self.decision_snapshots):
-            self._drive(steering, speed)
-            cov = self._answer.covariance
-            cost += self.uncertainty_weight * self._dt_s * float(np.sqrt(max(cov[0, 0] + cov[1, 1], 0.0)))
+        before, reason = self._arc_m, ""
+        driven: list[tuple[Floats, Floats, Floats]] = []
+        while not reason and len(driven) < self.decision_snapshots:
+            driven.append(self._drive(steering, speed))
             reason = self._ended()
-            if reason:
-                break
+        cost = self._measure(self._now - len(driven) + 1, self._dt_s, *np.moveaxis(np.array(driven), 1, 0))
         reward = self._arc_m - before - cost
         reward += {"goal": GOAL_REWARD, "collision": CRASH_REWARD, "off the route": CRASH_REWARD}.get(reason, 0.0)
         cut = reason == "" and self._now * self._dt_s >= self._end_s
@@ -149,10 +147,10 @@ class ActiveSlamEnv(ScenarioEnv):
         warm_up(request)
         self._estimator = request.estimator(request.options)
         self._estimator.start(setup, stream(seed, trial, Stream.ESTIMATOR))
-        self._measure(0.0, np.zeros(6), np.zeros(6))
+        self._measure(0, 0.0, start[None], np.zeros((1, 6)), np.zeros((1, 6)))
 
-    def _drive(self, steering_rad: float, speed_mps: float) -> None:
-        """Advance by one snapshot: vehicle, odometry, measurements, estimator."""
+    def _drive(self, steering_rad: float, speed_mps: float) -> tuple[Floats, Floats, Floats]:
+        """Advance by one snapshot; return true pose, true velocity and odometry, (6,) each."""
         before, model, dt = self._car.pose.copy(), self._model, self._dt_s
         self._car.advance(steering_rad, speed_mps, dt)
         self._now += 1
@@ -161,16 +159,24 @@ class ActiveSlamEnv(ScenarioEnv):
         self._bias = self._bias + noise[0] * np.sqrt(dt) * model.bias_walk_density
         true = mean_velocity(before, self._car.pose, dt)
         odometry = (1.0 + self._scale) * true + self._bias + noise[1] * model.noise_density / np.sqrt(dt)
-        self._measure(dt, odometry, true)
         self._near = _nearest(self._points, self._car.pose, self._near)
         self._arc_m = float(self._arcs[self._near])
+        return self._track[-1], true, odometry
 
-    def _measure(self, dt_s: float, odometry: Floats, velocity: Floats) -> None:
-        found, paths = self._world.measure(self._car.pose, velocity, self._now, self._streams, odometry)
-        self._seen_m = paths.vt_position_m[found.path[found.path >= 0]]
-        snapshot = _snapshot(found.measurements, self._now, self._row)
-        self._row += len(snapshot)
-        self._answer: Estimate = self._estimator.step(dt_s, odometry, snapshot)
+    def _measure(self, first: int, dt_s: float, poses: Floats, velocities: Floats, odometry: Floats) -> float:
+        """Let the estimator see the snapshots from `first` on, whose paths are traced together; return the cost."""
+        found, paths = self._world.measure(poses, velocities, first, self._streams, odometry)
+        numbers, cost = found.measurements.snapshot, 0.0
+        for t, u in enumerate(odometry, first):
+            rows = slice(*np.searchsorted(numbers, (t, t + 1)))
+            snapshot = _snapshot(found.measurements, rows, t, self._row)
+            self._row += len(snapshot)
+            self._answer: Estimate = self._estimator.step(dt_s, u, snapshot)
+            cov = self._answer.covariance
+            cost += self.uncertainty_weight * dt_s * float(np.sqrt(max(cov[0, 0] + cov[1, 1], 0.0)))
+        last = found.path[rows]
+        self._seen_m = paths.vt_position_m[last[last >= 0]]
+        return cost
 
     def _ended(self) -> str:
         from shapely import Point
@@ -216,7 +222,9 @@ def _nearest(points_m: Floats, pose: Floats, from_index: int) -> int:
     return low + int(np.argmin(np.sum((points_m[low:high] - pose[:2]) ** 2, axis=1)))
 
 
-def _snapshot(m: Measurements, index: int, first_row: int) -> Snapshot:
-    rows = np.arange(first_row, first_row + len(m))
-    columns = (m.link, m.distance_m, m.azimuth_rad, m.elevation_rad, m.snr_db)
-    return Snapshot(index, rows, *columns, m.distance_std_m, m.azimuth_std_rad, m.elevation_std_rad)
+def _snapshot(m: Measurements, rows: slice, index: int, first_row: int) -> Snapshot:
+    numbers = np.arange(first_row, first_row + rows.stop - rows.start)
+    columns: list[Any] = [m.link, m.distance_m, m.azimuth_rad, m.elevation_rad, m.snr_db]
+    columns += [m.distance_std_m, m.azimuth_std_rad, m.elevation_std_rad]
+    parts: list[Any] = [None if column is None else column[rows] for column in columns]
+    return Snapshot(index, numbers, *parts)

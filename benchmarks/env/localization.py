@@ -32,10 +32,10 @@ def _recording(scenario: str, seed: int, trial: int) -> Recording:
     return simulate(from_tables(json.loads(scenario)), seed, trial)
 
 
-def action_unit(model: OdometryModel, dt_s: float, odometry: Floats) -> Floats:
+def action_unit(model: OdometryModel, dt_s: float | Floats, odometry: Floats) -> Floats:
     """Return what an action of 1 adds to the odometry, (6,) in m and rad: REACH deviations of its error over dt_s.
 
-    odometry (6,) in m/s and rad/s.
+    odometry (6,) in m/s and rad/s; or for many intervals at once odometry (T, 6) and dt_s (T, 1).
     """
     constant = np.hypot(model.bias, model.scale * odometry) * dt_s
     return np.asarray(np.maximum(REACH * np.hypot(model.noise_density * np.sqrt(dt_s), constant), LEAST_UNIT))
@@ -88,7 +88,7 @@ class LocalizationEnv(ScenarioEnv):
         self.belief: Floats = np.zeros(6)
         self.belief_covariance: Floats | None = None
         self._now = 0
-        self.action_space = spaces.Box(-1.0, 1.0, (6,), np.float64)
+        self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (6,), np.float32)
         wide = (max_paths, len(COLUMNS))
         self.observation_space: spaces.Space[Any] = spaces.Dict(
             {

@@ -44,6 +44,11 @@ SECTIONS = {
         "fit-noise": "noise, detection and clutter as the recording itself shows them",
         "simulate-from": "a recording of paths that another ray tracer found",
     },
+    "sets of drives to learn from": {
+        "dataset list": "the sets that are known by name",
+        "dataset make": "simulate the drives of a set, in shards if need be",
+        "dataset check": "whether the drives of a set are as they were made",
+    },
     "look up": {
         "list": "the scenarios, suites and estimators that are known by name",
         "show": "the keys of a scenario: value, unit, range, meaning",

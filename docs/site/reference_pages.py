@@ -32,7 +32,7 @@ PYTHON: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
         {},
     ),
     "recordings": (
-        ("simulate", "Recording", "plot"),
+        ("simulate", "Recording", "plot", "windows"),
         {"Tables of a recording": "cellslam.sim.recording", "Campaigns, for adapters": "cellslam.recordings"},
     ),
     "estimators": (

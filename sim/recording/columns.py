@@ -125,7 +125,7 @@ COLUMNS = (
     Column("provenance", (), "JSON", kind="text"),
     Column("truth/poses", ("T", 6), _POSE_UNIT, labels=_POSE, rule="finite"),
     Column("truth/measurement_vt", ("M",), kind="int", index=("V",), none=True),
-    Column("truth/measurement_std", ("M", 3), _MEASURED_UNIT, labels=_MEASURED),
+    Column("truth/measurement_std", ("M", 3), _MEASURED_UNIT, labels=_MEASURED, absent=True),
     Column("truth/persisting_std", ("M", 3), _MEASURED_UNIT, labels=_MEASURED, optional=True),
     Column("truth/merging_shift", ("M", 3), _MEASURED_UNIT, labels=_MEASURED, optional=True),
     Column("truth/vts/position_m", ("V", 3), "m", labels=_XYZ, rule="finite"),

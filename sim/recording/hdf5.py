@@ -18,6 +18,7 @@ import numpy as np
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.recording import damage, tables
 from cellslam.sim.recording.columns import COLUMNS, FORMAT, SCHEMA_VERSION, Column, check_shapes
+from cellslam.sim.recording.packing import LEFT_OUT, OFFSET, SCALE, SNAPSHOT, Packed, attributes_of, packed, step_of
 
 Kind = TypeVar("Kind")
 # The class of each table, inner ones first.
@@ -37,8 +38,8 @@ _MAY_MISS = ("truth", "truth/clock_steps", "truth/vehicles", "reference")
 _KINDS = {"float": "fiu", "int": "iu", "text": "OS"}
 
 
-def save(columns: Mapping[str, Any], path: Path) -> None:
-    """Write a recording's columns, by path, to `path`: all or nothing.
+def save(columns: Mapping[str, Any], path: Path, pack: bool = False) -> None:
+    """Write a recording's columns, by path, to `path`: all or nothing. `pack`: in fewer bytes (`packing`).
 
     Raises InputError when the folder is missing or cannot be written, or the provenance is not JSON.
     """
@@ -48,13 +49,15 @@ def save(columns: Mapping[str, Any], path: Path) -> None:
         raise InputError(f"provenance cannot be written as JSON: {error}") from error
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}; create it first")
+    if pack:
+        values = {name: value for name, value in values.items() if name not in LEFT_OUT}
 
     def fill(file: h5py.File) -> None:
         file.attrs["format"] = FORMAT
         file.attrs["schema_version"] = SCHEMA_VERSION
         for column in COLUMNS:
             if column.path in values and not _is_absent(column, values[column.path]):
-                _write(file, column, values[column.path])
+                _write(file, column, values[column.path], step_of(column, values) if pack else None)
         _declare_absent(file, values)
 
     try:
@@ -88,14 +91,19 @@ def load(path: Path, make: Callable[..., Kind], accept_changed: bool = False) ->
         ) from error
 
 
-def _write(file: h5py.File, column: Column, value: Any) -> None:
+def _write(file: h5py.File, column: Column, value: Any, step: Any) -> None:
+    """Write a column; `step`: of its values where it is packed (`packing.step_of`), None where it is not."""
     if column.kind == "text":
         text = value if column.shape == () else np.array(value, dtype=object)
         dataset = file.create_dataset(column.path, data=text, dtype=h5py.string_dtype("utf-8"))
     else:
         array = np.asarray(value, np.int64 if column.kind == "int" else np.float64, order="C")
-        packed = {"compression": "gzip", "shuffle": True, "fletcher32": True} if array.size > 4096 else {}
-        dataset = file.create_dataset(column.path, data=array, **packed)
+        stored = Packed(array) if step is None else packed(array, step)
+        compressed = array.size > 4096 and (step is None or column.path == SNAPSHOT)
+        filters = {"compression": "gzip", "shuffle": True, "fletcher32": True} if compressed else {}
+        dataset = file.create_dataset(column.path, data=stored.codes, **filters)
+        if stored.scale is not None:
+            dataset.attrs[SCALE], dataset.attrs[OFFSET] = stored.scale, stored.offset
     dataset.attrs["unit"] = column.unit
     if column.labels:
         dataset.attrs["columns"] = list(column.labels)
@@ -110,8 +118,8 @@ def _is_absent(column: Column, value: Any) -> bool:
 
 def _declare_absent(file: h5py.File, values: dict[str, Any]) -> None:
     """Say in each table's attribute `absent` which columns it lacks, and in odometry's which components."""
-    for table in sorted({column.table for column in COLUMNS if column.absent}):
-        names = [c.path for c in COLUMNS if c.table == table and c.absent and _is_absent(c, values[c.path])]
+    for table in sorted({column.table for column in COLUMNS if column.absent and column.table in file}):
+        names = [c.path for c in COLUMNS if c.table == table and c.absent and c.path not in file]
         file[table].attrs["absent"] = _names([name.removeprefix(f"{table}/") for name in names])
     components = next(column.labels for column in COLUMNS if column.path == "odometry")
     never = np.isnan(values["odometry"]).all(axis=0)
@@ -181,9 +189,9 @@ def _read_all(file: h5py.File) -> dict[str, Any]:
     out = {column.path: _read(file[column.path], column) for column in COLUMNS if column.path in file}
     sizes = check_shapes(out)
     for column in COLUMNS:
-        if column.absent and column.path not in out:
-            count = sizes[str(column.shape[0])]
-            out[column.path] = np.full(count, -1, np.int64) if column.kind == "int" else np.full(count, np.nan)
+        if column.absent and column.path not in out and column.table in file:
+            shape = tuple(sizes[size] if isinstance(size, str) else size for size in column.shape)
+            out[column.path] = np.full(shape, -1, np.int64) if column.kind == "int" else np.full(shape, np.nan)
     return out
 
 
@@ -203,7 +211,8 @@ def _read(dataset: h5py.Dataset, column: Column) -> Any:
         except (UnicodeDecodeError, TypeError) as error:
             raise InputError(f"column '{column.path}' is no UTF-8 text; write it as UTF-8") from error
         return text if isinstance(text, str) else tuple(text.tolist())
-    return np.asarray(dataset[()], np.int64 if column.kind == "int" else np.float64)
+    values = Packed(dataset[()], *attributes_of(dataset))[()]
+    return np.asarray(values, np.int64 if column.kind == "int" else np.float64)
 
 
 def _recording(values: dict[str, Any], make: Callable[..., Kind]) -> Kind:

@@ -169,18 +169,30 @@ class World(Reception):
         return paths.take(blocked.free(len(paths)))
 
     def measure(
-        self, pose: Floats, velocity: Floats, snapshot: int, rng: Streams, odometry: Floats | None = None
+        self, poses: Floats, velocities: Floats, snapshot: int, rng: Streams, odometry: Floats | None = None
     ) -> tuple[Detections, Paths]:
-        """Return what the receiver reports at `pose` (6,), numbered `snapshot`, and the paths that exist there.
+        """Return what the receiver reports at `poses` (n, 6), numbered from `snapshot`, and the paths that exist there.
 
-        `velocity` (6,) is the true body velocity during the snapshot, `odometry` (6,) what the receiver knows of it
-        (None: the truth). `rng` advances: calls along a drive, in order and with the same streams, give the drive's
-        recording. `Detections.path` indexes the returned paths.
+        `velocities` (n, 6) are the true body velocities during the snapshots, `odometry` (n, 6) what the receiver knows
+        of them (None: the truth). `rng` advances: calls along a drive, in order and with the same streams, give the
+        drive's recording. `Detections.path` indexes the returned paths.
         """
-        poses, velocities = np.asarray(pose, np.float64)[None, :], np.asarray(velocity, np.float64)[None, :]
-        known = velocities if odometry is None else np.asarray(odometry, np.float64)[None, :]
-        paths = self.free_paths(poses, np.array([snapshot]))
+        known = velocities if odometry is None else odometry
+        paths = self.free_paths(poses, snapshot + np.arange(len(poses)))
         return self.detect(paths, poses, velocities, known, rng, snapshot), paths
+
+    def measured_at(self, late_s: Floats | None = None) -> tuple[Floats, Floats]:
+        """Return where the snapshots of the trial's drive are measured (T, 6), and when (T,), counted in snapshots.
+
+        `late_s` (T,): how long before its snapshot each is (None: in time).
+        """
+        from cellslam.sim.lte.faults import poses_before
+
+        moment = np.arange(len(self.drive.poses), dtype=np.float64)
+        if late_s is None:
+            return self.drive.poses, moment
+        earlier = np.maximum(moment - late_s / self.config.vehicle.snapshot_interval_s, 0.0)
+        return poses_before(self.drive.poses, self.drive.time_s, late_s), earlier
 
     def measure_drive(
         self, rng: Streams, progress: Progress = silent, odometry: Floats | None = None, late_s: Floats | None = None
@@ -190,14 +202,9 @@ class World(Reception):
         `odometry` (T, 6): measured body velocities, with which the receiver undoes Doppler (None: the truth);
         `late_s` (T,): how long before its snapshot each was measured (None: in time).
         """
-        from cellslam.sim.lte.faults import poses_before
-
-        poses, velocities = self.drive.poses, self.drive.velocity
-        moment = np.arange(len(poses), dtype=np.float64)
-        if late_s is not None:
-            poses = poses_before(poses, self.drive.time_s, late_s)
-            moment = np.maximum(moment - late_s / self.config.vehicle.snapshot_interval_s, 0.0)
+        poses, moment = self.measured_at(late_s)
         paths, blocked = self.trace(poses, moment, progress)
+        velocities = self.drive.velocity
         known = velocities if odometry is None else odometry
         key = f"{self.config.model_dump_json()} {self.seed} {self.trial}"
         free = np.flatnonzero(blocked.free(len(paths)))

@@ -98,7 +98,9 @@ def test_signal_front_end_gives_the_recording_pose_by_pose(tmp_path: Path, monke
     streams, m, truth = world.streams(), r.measurements, r.truth
     assert truth is not None and len(m) > 4 * len(r.time_s)
     for t in (0, len(r.time_s) - 1, 7):
-        found, paths = world.measure(world.drive.poses[t], world.drive.velocity[t], t, streams, r.odometry[t])
+        found, paths = world.measure(
+            world.drive.poses[t : t + 1], world.drive.velocity[t : t + 1], t, streams, r.odometry[t : t + 1]
+        )
         rows = slice(r.rows[t], r.rows[t + 1])
         np.testing.assert_allclose(found.measurements.distance_m, m.distance_m[rows], rtol=0.0, atol=1e-6)
         real = found.path >= 0

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.output_files import check_file, check_folder
-from cellslam.cli.arguments import add, whole
+from cellslam.cli.arguments import FLAG, add, whole
 from cellslam.cli.output import note, note_long, size_of
 from cellslam.progress_bars import bars
 from cellslam.scenarios.estimator_options import resolve
@@ -29,6 +29,13 @@ def add_arguments(parser: ArgumentParser) -> None:
     add(which, "--trial")
     trials_help = "a data set: trials 0 to N-1; files that are there already stay"
     which.add_argument("--trials", metavar="N", type=whole, help=trials_help)
+    raw_help = "also the raw array responses, of radio.front_end=signal, into NAME-responses.h5 beside the recording"
+    parser.add_argument("--responses", help=raw_help, **FLAG)
+
+
+def beside(path: Path) -> Path:
+    """Return the file of a recording's raw responses."""
+    return path.with_name(f"{path.stem}-responses.h5")
 
 
 def command(arguments: Namespace) -> None:
@@ -39,6 +46,8 @@ def command(arguments: Namespace) -> None:
     trials.check_counts(arguments.trials if many else 1, arguments.seed)
     if arguments.trial < 0:
         raise InputError(f"trial = {arguments.trial}: must be 0 or more")
+    if arguments.responses and scenario.radio.front_end != "signal":
+        raise InputError("--responses are of the signal-level front end: --set radio.front_end=signal")
     if many:
         check_folder(out)
         out.mkdir(parents=True, exist_ok=True)
@@ -54,4 +63,8 @@ def command(arguments: Namespace) -> None:
                 continue
             recording = simulate(scenario, arguments.seed, trial, progress=progress)
             recording.save(path)
+            if arguments.responses:
+                from cellslam.sim.world.responses import write_responses
+
+                write_responses(beside(path), scenario.world, arguments.seed, trial, progress)
             note(arguments, f"{path}: {size_of(recording)}")

@@ -9,6 +9,7 @@ Source: the extended FastSLAM paper, section II, equations 2 to 5; own, docs/exp
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -84,17 +85,26 @@ class SignalLevel:
 
         `velocity_mps` (3,) of the body is true, `odometry_mps` (3,) what the receiver compensates Doppler with.
         """
-        slots = self.slots(snapshot)
         truth = self.geometry(paths, pose, snapshot)
-        received = self.receive(paths, pose, velocity_mps, snapshot, slots, rng)
         motion = self.receiver.moving(odometry_mps)
         rows = []
-        for link in range(len(self.links.site)):
+        for link, samples in enumerate(self.responses(paths, pose, velocity_mps, snapshot, rng)):
             site = int(self.links.site[link])
-            found = estimate_paths(self.samples(link, received, slots), motion)
+            found = estimate_paths(samples, motion)
             own = slice(int(paths.rows[site]), int(paths.rows[site + 1]))
             rows.append(self.rows(snapshot, link, found, truth[own], own.start))
         return np.concatenate(rows)
+
+    def responses(
+        self, paths: PathColumns, pose: Floats, velocity_mps: Floats, snapshot: int, rng: np.random.Generator
+    ) -> Iterator[ComplexSingle]:
+        """Yield what paths are estimated from: of each link the `samples` (ports, tones) of a snapshot, in roots of mW.
+
+        Arguments as of `measure`: with the same generator they are those that it has.
+        """
+        slots = self.slots(snapshot)
+        received = self.receive(paths, pose, velocity_mps, snapshot, slots, rng)
+        return (self.samples(link, received, slots) for link in range(len(self.links.site)))
 
     def receive(
         self, paths: PathColumns, pose: Floats, velocity_mps: Floats, snapshot: int, slots: Ints,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warnings
 from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -15,8 +17,10 @@ import cellslam.benchmarks.env
 from cellslam.benchmarks.env.adapters import AgentEstimator, EstimatorAgent
 from cellslam.benchmarks.env.localization import REACH, LocalizationEnv, action_unit, observation, snapshot_of
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.recordings.sets.making import finish, make
 from cellslam.scenarios.estimator_options import Request, resolve
 from cellslam.scenarios.loading import load
+from cellslam.scenarios.sets import SETS
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.errors import InputError
 from cellslam.sim.randomness import Stream, stream
@@ -189,3 +193,54 @@ def test_wrong_options_are_explained(options: dict[str, Any], words: str) -> Non
 def test_wrong_render_mode_is_explained() -> None:
     with pytest.raises(InputError, match="rgb_array"):
         LocalizationEnv(render_mode="human")
+
+
+def test_many_episodes_at_once_are_the_single_ones() -> None:
+    """Observations, rewards and infos of each, to 32 bits, over two drives each, with fewer paths shown than are."""
+    many: Any = gym.make_vec(NAME, num_envs=3, drives=2, max_paths=12)
+    singles = [gym.wrappers.FlattenObservation(made(max_paths=12)) for _ in range(3)]
+    seen, info = many.reset(seed=5)
+    assert many.observation_space.contains(seen)
+    rng, over, drives = np.random.default_rng(0), np.ones(3, bool), set()
+    for _ in range(2):
+        assert over.all()
+        for k, one in enumerate(singles):
+            expected, said = one.reset(options={"seed": int(many._drive[k])})
+            np.testing.assert_allclose(seen[k], expected, rtol=1e-6)
+            np.testing.assert_array_equal(info["truth_pose"][k], said["truth_pose"])
+        drives.update(many._drive)
+        for _ in range(400):
+            action = rng.normal(size=(3, 6)).astype(np.float32)
+            seen, reward, over, cut, info = many.step(action)
+            for k, one in enumerate(singles):
+                expected, value, ended, _, said = one.step(action[k])
+                if not ended:
+                    np.testing.assert_allclose(seen[k], expected, rtol=2e-5, atol=1e-6)
+                np.testing.assert_allclose(info["belief_pose"][k], said["belief_pose"], atol=1e-3)
+                assert (reward[k], over[k]) == (pytest.approx(value, abs=1e-3), ended)
+            if over.any():
+                break
+        seen, reward, _, cut, info = many.step(action)  # which it does not see
+        assert not reward.any() and not cut.any()
+    assert drives == {0, 1}
+
+
+def test_a_split_of_a_set_is_driven_but_not_one_without_truth(tmp_path: Path) -> None:
+    one = replace(SETS["learn-lund"], preset="tiny", overrides={}, drives={"train": 2, "validation": 0, "test": 1})
+    list(make(one, tmp_path))
+    assert finish(one, tmp_path)
+    many: Any = gym.make_vec(NAME, num_envs=4, folder=tmp_path, split="train")
+    many.reset(seed=0)
+    _, reward, _, _, info = many.step(np.zeros((4, 6)))
+    np.testing.assert_allclose(-reward, info["position_error_m"])
+    with pytest.raises(InputError, match="needs a drive with its truth"):
+        gym.make_vec(NAME, num_envs=4, folder=tmp_path, split="test")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [NAME, ACTIVE])
+def test_flattened_environments_pass_the_checker_of_stable_baselines3_without_warnings(name: str) -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="stable-baselines3 is not installed")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(gym.wrappers.FlattenObservation(gym.make(name, drives=1)))

@@ -66,7 +66,7 @@ def test_pose_by_pose_gives_the_recording(busy: Recording) -> None:
     _, blocked = world.trace(world.drive.poses[:150], np.arange(150))
     assert len(blocked.path)
     for t in range(150):
-        found, _ = world.measure(world.drive.poses[t], world.drive.velocity[t], t, streams)
+        found, _ = world.measure(world.drive.poses[t : t + 1], world.drive.velocity[t : t + 1], t, streams)
         rows = slice(busy.rows[t], busy.rows[t + 1])
         np.testing.assert_allclose(found.measurements.distance_m, m.distance_m[rows], rtol=0.0, atol=1e-9)
 
