@@ -110,4 +110,4 @@ def test_both_front_ends_ask_for_the_pattern() -> None:
         overrides = {**SET, "radio.front_end": front_end, "radio.antenna_pattern": "wrong:bad"}
         world = prepare(cellslam.load("tiny", overrides).world, 0, 0)
         with pytest.raises(AttributeError, match="nothing"):
-            world.measure(world.drive.poses[0], world.drive.velocity[0], 0, world.streams())
+            world.measure(world.drive.poses[:1], world.drive.velocity[:1], 0, world.streams())
