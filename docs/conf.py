@@ -25,6 +25,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_copybutton"]
 exclude_patterns = ["examples", "site"]
 html_theme = "furo"
 html_title = "cellslam"
+html_logo = html_favicon = "site/logo.svg"
 html_static_path = ["site/site.css"]
 html_css_files = ["site.css"]
 html_copy_source = False

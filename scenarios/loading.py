@@ -15,7 +15,7 @@ from cellslam.scenarios.overrides import apply
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.data_files import text_of, toml_of
 from cellslam.sim.errors import InputError, unknown_name
-from cellslam.sim.lte.radio_config import is_loaded
+from cellslam.sim.own_code import is_loaded
 
 
 def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None, code: bool = True) -> Scenario:

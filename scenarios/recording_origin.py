@@ -12,7 +12,7 @@ from cellslam.scenarios.estimator_options import own_code
 from cellslam.scenarios.loading import from_tables
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import InputError
-from cellslam.sim.lte.radio_config import is_loaded, load_waveform
+from cellslam.sim.own_code import is_loaded, load_own
 from cellslam.sim.recording import Recording
 
 TECHNOLOGY = "radio.technology"
@@ -22,8 +22,8 @@ TECHNOLOGY = "radio.technology"
 class Origin:
     """Where a recording comes from, by its provenance; that of a `measured` one has no scenario.
 
-    `code`: what it names of code that is not cellslam's and was not loaded, by key; without its waveform there is no
-    `scenario`.
+    `code`: what it names of code that is not cellslam's and was not loaded, by key; without that of its world there is
+    no `scenario`.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Origin:
         if technology not in (None, own):
             raise InputError(f"{TECHNOLOGY}={technology}: a recording is as it is, with '{own}'; leave the key out")
         if technology is not None and ":" in own:
-            load_waveform(own)
+            load_own(TECHNOLOGY, own)
         unloaded = {} if is_loaded(own) else {TECHNOLOGY: own}
         seed, trial = _count(provenance.get("seed")), _count(provenance.get("trial"))
         if not isinstance(tables, Mapping):
@@ -60,7 +60,8 @@ class Origin:
         if not unloaded:
             # One of another version of the models: estimators need its options only, not its world.
             with suppress(InputError):
-                scenario = from_tables(tables, code=False)
+                found = from_tables(tables, code=False)
+                scenario = None if found.radio.code() else found
         name = str(tables.get("name", path.stem))
         return Origin(name, seed, trial, options, scenario, False, {**unloaded, **own_code(options)})
 

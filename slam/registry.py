@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import re
-import sys
 import traceback
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from types import ModuleType
 from typing import Any
 
 from cellslam.sim.errors import InputError, one_line, unknown_name
+from cellslam.sim.own_code import seek_here
 
 ENTRY_POINT_GROUP = "cellslam.estimators"
 ALL = "all"
@@ -155,13 +155,6 @@ def resolve(name: str) -> type[Any]:
             except InputError as error:
                 raise BrokenPluginError(str(error)) from error
     raise _unknown(name)
-
-
-def seek_here() -> None:
-    """Let modules of the current directory be found, too, after all others."""
-    here = str(Path.cwd())
-    if here not in sys.path and "" not in sys.path:
-        sys.path.append(here)
 
 
 def module_of(name: str) -> str | None:

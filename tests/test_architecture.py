@@ -28,6 +28,7 @@ OPEN_TO_SLAM = (
     "compiling",
     "plausible",
     "data_files",
+    "own_code",
 )
 
 

@@ -18,6 +18,22 @@ def test_versions_agree() -> None:
     assert f'version: "{PROJECT["version"]}"' in CONDA
 
 
+def test_the_changelog_begins_with_this_version() -> None:
+    first = re.search(r"^## (\S+) \(", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.M)
+    assert first is not None and first[1] == PROJECT["version"]
+
+
+def test_the_paper_cites_what_its_bibliography_has_and_figures_of_the_leaderboard() -> None:
+    paper = (ROOT / "packaging" / "paper.md").read_text("utf-8")
+    entries = re.findall(r"^@\w+\{(\w+),", (ROOT / "packaging" / "paper.bib").read_text("utf-8"), re.M)
+    assert sorted(entries) == sorted(set(re.findall(r"(?<!\w)@([a-z]\w+)", paper.partition("---\n\n")[2])))
+    board = (ROOT / "docs" / "leaderboard.md").read_text("utf-8")
+    lines = [line.split(" | ") for line in paper.splitlines() if line.startswith("| `")]
+    assert lines
+    for name, rank, ratio in lines:
+        assert f"\n{name.replace('`', '')} | {rank} | {ratio.removesuffix(' |')} |" in board
+
+
 def test_conda_requires_what_the_package_requires() -> None:
     run = re.findall(r"^    - (\S+) (\S+)$", CONDA.partition("\n  run:\n")[2].partition("\ntest:")[0], re.M)
     assert {name + least for name, least in run} == {*PROJECT["dependencies"], f"python{PROJECT['requires-python']}"}

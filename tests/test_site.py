@@ -33,6 +33,7 @@ RUN = (
     "tutorials/train-an-agent.md",
     "how-to/command-line.md",
     "how-to/replace-parts-of-fastslam.md",
+    "how-to/replace-parts-of-the-world.md",
     "how-to/scenario-files.md",
     "reference/environments.md",
     "reference/python/running.md",
@@ -44,6 +45,7 @@ RUN = (
 MODULES = {
     "tutorials/your-estimator.md": ("coasting.py", 99),
     "how-to/replace-parts-of-fastslam.md": ("my_parts.py", 1),
+    "how-to/replace-parts-of-the-world.md": ("my_world.py", 1),
 }
 OUTPUT = ("text", "{toctree}")
 

@@ -305,6 +305,8 @@ def tracked_measurements(
                 np.where(persisting.state >= 0, errors + persisting.state, -1),
             ],
             axis=2,
+            dtype=np.int32,
+            casting="same_kind",
         ),
         load=np.concatenate(
             [by_vt, by_pose, np.tile([[1.0], [0.0], [0.0]], (len(begin), 1, 1)), persisting.load], axis=2

@@ -18,6 +18,7 @@ chapter 3 (Gauss-Markov states).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from pydantic import ValidationError
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte.persisting_errors import Cause, causes, persisting_std
-from cellslam.sim.lte.radio_config import RadioConfig, is_loaded
+from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.recording import Floats, Ints, Recording
 
 # The area below exp(-x^2 / (2 l^2)) is that below exp(-x / (AREA l)).
@@ -86,9 +87,12 @@ class Seen:
 
 @dataclass(frozen=True)
 class Part:
-    """One cause: `state` and `load` as in Views or Sightings, its states numbered from 0, how many, and their kind."""
+    """One cause: `state` and `load` as in Views or Sightings, its states numbered from 0, how many, and their kind.
 
-    state: Ints
+    Numbers of many views have 32 bits: there are millions.
+    """
+
+    state: NDArray[np.signedinteger[Any]]
     load: Floats
     count: int
     kind: int
@@ -115,11 +119,11 @@ def persisting_errors(
     parts = [
         _by_direction(calibration, seen, recording.time_s),
         _by_direction(roof, seen, recording.time_s),
-        Part(np.tile(np.arange(3), (views, 3, 1)), attitude.std[[1, 2, 2]] * turned(seen), 3, BY_TIME),
+        Part(np.tile(np.arange(3, dtype=np.int32), (views, 3, 1)), attitude.std[[1, 2, 2]] * turned(seen), 3, BY_TIME),
         _by_vt(merging, seen, recording.time_s),
     ]
     own = _by_place(diffuse, seen, np.concatenate([[0.0], np.cumsum(moved)]))
-    base = np.concatenate([[0], np.cumsum([part.count for part in parts])])
+    base = np.concatenate([[0], np.cumsum([part.count for part in parts])]).astype(np.int32)
     state = np.concatenate([np.where(q.state >= 0, b + q.state, -1) for q, b in zip(parts, base, strict=False)], axis=2)
     load = np.concatenate([part.load for part in parts], axis=2)
     state = np.where(load != 0.0, state, -1)
@@ -154,7 +158,7 @@ def radio_of(recording: Recording) -> RadioConfig | None:
             "truth.persisting_std is not zero, but the provenance has no valid world.radio, which says how the errors"
             " persist: the bound needs it (or drop truth.persisting_std to have all errors taken as white)"
         ) from error
-    if not is_loaded(config.technology):
+    if "radio.technology" in config.code():
         raise InputError(
             f"the recording names code, radio.technology = '{config.technology}', which the bound needs: if you trust "
             f"it, give it again, --set radio.technology={config.technology}"
@@ -204,11 +208,11 @@ def _by_vt(cause: Cause, seen: Seen, time_s: Floats) -> Part:
     """Return the states of a function of time, one for each VT and component."""
     views = len(seen.snapshot)
     if cause.scale <= 0.0:
-        return Part(np.zeros((views, 3, 0), np.int64), np.zeros((views, 3, 0)), 0, BY_MERGING)
+        return Part(np.zeros((views, 3, 0), np.int32), np.zeros((views, 3, 0)), 0, BY_MERGING)
     vt = np.empty(views, np.int64)
     vt[seen.view_of] = seen.vt
     run, count = runs(vt, time_s[seen.snapshot], HOLD_SCALES * cause.scale)
-    state = 3 * run[:, None, None] + np.arange(3)[:, None]
+    state = (3 * run[:, None, None] + np.arange(3)[:, None]).astype(np.int32)
     return Part(state, np.broadcast_to(cause.std[:, None], state.shape), 3 * count, BY_MERGING)
 
 
@@ -216,7 +220,7 @@ def _by_direction(cause: Cause, seen: Seen, time_s: Floats) -> Part:
     """Return the weights of a function of direction, for each component; its values at a view have unit length."""
     views = len(seen.snapshot)
     if cause.scale <= 0.0 or not cause.std.any() or views == 0:
-        return Part(np.zeros((views, 3, 0), np.int64), np.zeros((views, 3, 0)), 0, 0)
+        return Part(np.zeros((views, 3, 0), np.int32), np.zeros((views, 3, 0)), 0, 0)
     value = principal_functions(seen.direction, cause.scale)
     if value is not None:
         count = value.shape[1]
@@ -226,8 +230,8 @@ def _by_direction(cause: Cause, seen: Seen, time_s: Floats) -> Part:
         function = np.full(cell.shape, -1)
         at = np.broadcast_to(time_s[seen.snapshot][:, None], cell.shape)[cell >= 0]
         function[cell >= 0], count = runs(cell[cell >= 0], at, HOLD_S)
-    first = count * np.arange(3)[:, None]
-    state = np.where(function[:, None] >= 0, first + function[:, None], -1)
+    first, function = count * np.arange(3, dtype=np.int32)[:, None], function.astype(np.int32)
+    state = np.where(function[:, None] >= 0, first + function[:, None], np.int32(-1))
     return Part(state, cause.std[:, None] * value[:, None], 3 * count, 0)
 
 

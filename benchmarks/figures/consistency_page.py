@@ -75,7 +75,7 @@ def draw(figure: Figure, shown: Mapping[str, Shown], title: str = "") -> bool:
 
 def draw_nees(axes: Axes, curves: Mapping[str, tuple[Floats, Floats]], styles: Mapping[str, Style]) -> None:
     """Draw the mean over drives of the NEES (N, P) at times (P,) by label, and the band in which it should be."""
-    from matplotlib.ticker import LogFormatter
+    from matplotlib.ticker import LogLocator
 
     for label, (time_s, values) in curves.items():
         finite = np.isfinite(values).any(axis=0)
@@ -92,7 +92,8 @@ def draw_nees(axes: Axes, curves: Mapping[str, tuple[Floats, Floats]], styles: M
         ylabel=f"NEES, with its {100 * CONFIDENCE:g} % band",
     )
     axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
+    axes.yaxis.set_minor_locator(LogLocator(subs=(2, 5)))
+    axes.yaxis.set_minor_formatter("{x:g}")
 
 
 def _reliability(axes: Axes, one: Shown, style: Style) -> None:

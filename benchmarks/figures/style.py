@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.path import Path as Outline
+from numpy.typing import NDArray
 
 from cellslam.benchmarks.trials.output_files import writing
 from cellslam.sim.progress import Progress, silent
@@ -25,12 +26,15 @@ GREY, LIGHT, BUILDING, EMPHASIS = "#999999", "#DDDDDD", "#E4E1DC", "#A79F92"
 TRUTH, VT, VEHICLES, WALL = BLACK, GREEN, "#5B6B8C", "#3D1A78"
 SITES = (VERMILLION, GREEN, PURPLE, ORANGE, SKY)
 LANDMARKS = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, "#7A5C00", "#5D3A9B")
+# No two of one hue. What is not cellslam's own has hues, dashes and markers that no built-in one has.
 ESTIMATORS = {
     "fastslam": BLUE, "dead-reckoning": ORANGE, "ekf-slam": GREEN, "bp-slam": PURPLE, "phd-slam": VERMILLION,
-    "paper-fastslam": SKY, "smoother": "#7A5C00", "oracle-association": "#5D3A9B",
-    "oracle-fastslam": "#2E3A87", "oracle-map": "#8C1D40", "wall-slam": "#117733",
+    "paper-fastslam": "#5566D9", "smoother": "#8C8C00", "wall-slam": "#5B9A1F", "oracle-association": "#5D3A9B",
+    "oracle-fastslam": "#A23BC4", "oracle-map": "#A3262B",
 }  # fmt: skip
-OTHERS = ("#44AA99", "#AA4499", "#999933", "#661100")
+OTHERS = (("#0E97A7", "-.", "D"), ("#B5179E", ":", "P"), ("#1E8E2E", "-.", "X"), ("#5B6770", ":", "v"),
+          ("#8A5A44", "-.", "*"))  # fmt: skip
+MARKED_EVERY, COINCIDES = 0.12, 0.005  # of the axes' diagonal; of what two curves span
 DASHES, PALEST = ("-", "-.", ":"), 0.6
 WIDTH_IN = 7.16
 PIXELS_PER_INCH = 160
@@ -71,20 +75,59 @@ def estimator_styles(labels: Iterable[str]) -> dict[str, dict[str, Any]]:
     Series of one estimator are shades of its colour and differ in their dashes; dead reckoning is dashed.
     """
     of = {label: label.partition(", ")[0] for label in labels}
-    styles: dict[str, dict[str, Any]] = {}
+    others, styles = _others(of.values()), dict[str, dict[str, Any]]()
     for label, name in of.items():
         same = [other for other in of if of[other] == name]
         index = same.index(label)
-        dashes = "--" if name == "dead-reckoning" else DASHES[index % len(DASHES)]
+        colour, first, _ = others.get(name) or (ESTIMATORS[name], "--" if name == "dead-reckoning" else "-", "")
+        dashes = DASHES[index % len(DASHES)] if len(same) > 1 and first != "--" else first
         white = PALEST * index / max(len(same) - 1, 2)
-        red, green, blue = ((1.0 - white) * part + white for part in to_rgb(colour_of(name)))
+        red, green, blue = ((1.0 - white) * part + white for part in to_rgb(colour))
         styles[label] = {"color": to_hex((red, green, blue)), "linestyle": dashes, "label": label}
     return styles
 
 
+def curve_styles(curves: Mapping[str, NDArray[np.float64]]) -> dict[str, dict[str, Any]]:
+    """Return the line of each curve (T,) or (T, 2), by its label: other people's estimators have markers, too.
+
+    Of curves that coincide the first is on top, the next is seen on both sides of it, and their labels say so.
+    """
+    styles, others, drawn = estimator_styles(curves), _others(curves), dict[str, int]()
+    for label, line in styles.items():
+        if label in others:
+            line |= {"marker": others[label][2], "markevery": MARKED_EVERY, "markersize": 4.5}
+        alike = next((first for first in drawn if _coincide(curves[first], curves[label])), None)
+        if alike is None:
+            drawn[label] = 0
+        else:
+            drawn[alike] += 1
+            line |= {"linewidth": 1.4 + 1.4 * drawn[alike], "zorder": 1.9 - 0.1 * drawn[alike]}
+            line["label"] = f"{label} (coincides with {alike})"
+    return styles
+
+
+def _coincide(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    """Return whether two curves are nowhere further apart than an eye tells."""
+    if one.shape != other.shape or not np.isfinite(one).any():
+        return False
+    span = max(float(np.ptp(curve[np.isfinite(curve)])) for curve in (one, other) if np.isfinite(curve).any())
+    return bool(np.nanmax(np.abs(one - other), initial=0.0) <= COINCIDES * span)
+
+
+def _others(names: Iterable[str]) -> dict[str, tuple[str, str, str]]:
+    """Return colour, dashes and marker of the estimators among `names` that are not cellslam's own, each its own."""
+    found: dict[str, tuple[str, str, str]] = {}
+    for name in dict.fromkeys(names):
+        if name not in ESTIMATORS:
+            place = crc32(name.encode())
+            free = [one for i in range(len(OTHERS)) if (one := OTHERS[(place + i) % len(OTHERS)]) not in found.values()]
+            found[name] = (free or [OTHERS[place % len(OTHERS)]])[0]
+    return found
+
+
 def colour_of(estimator: str) -> str:
-    """Return the colour of an estimator, by its name: other people's have one of a few."""
-    return ESTIMATORS.get(estimator) or OTHERS[crc32(estimator.encode()) % len(OTHERS)]
+    """Return the colour of an estimator, by its name, where no other one of other people is beside it."""
+    return str(estimator_styles([estimator])[estimator]["color"])
 
 
 def material_colour(name: str) -> tuple[float, float, float]:

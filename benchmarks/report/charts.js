@@ -1,6 +1,17 @@
 // Curves of a trial over time, with a cursor: errors, NEES, clock offsets.
 // Between these a consistent NEES with two degrees of freedom stays for 95 % of the time.
 const NEES_BAND = [0.0506, 7.378];
+const DECADES = [0.001, 0.01, 0.1, 1, 10, 100, 1000, 10000, 100000, 1000000];
+
+// Curves of other labels that are nowhere further from each other than an eye tells are said to coincide.
+const COINCIDES = 0.005;
+function alike(one, other) {
+  if (one.length !== other.length) return false;
+  const known = one.map((value, i) => [value, other[i]]).filter(([a, b]) => a !== null && b !== null);
+  const all = known.flat();
+  const span = all.reduce((most, value) => Math.max(most, value), -Infinity) - all.reduce((least, value) => Math.min(least, value), Infinity);
+  return known.length > 0 && known.every(([a, b]) => Math.abs(a - b) <= COINCIDES * span);
+}
 
 function drawCharts(charts, trial) {
   const { time, estimates, bound, scene } = trial;
@@ -10,16 +21,22 @@ function drawCharts(charts, trial) {
   const drawn = [];
   const draw = (home, traces, layout) => {
     if (traces.length) {
+      roomFor(home, traces);
       Plotly.newPlot(home, traces, layout, CONFIG);
       drawn.push(home);
     } else home.hidden = true;
   };
-  const errors = estimates.filter((one) => one.error.length).map((one) => line(one, one.error));
+  const having = estimates.filter((one) => one.error.length);
+  const errors = having.map((one, i) => {
+    const first = having.slice(0, i).find((other) => alike(other.error, one.error));
+    const more = first ? { name: `${one.label} (coincides with ${first.label})`, line: { color: seriesOf(one.label).colour, dash: "dot", width: 2.4 } } : {};
+    return line(one, one.error, more);
+  });
   if (bound.length) errors.push({ x: time, y: bound, name: "bound", mode: "lines", line: { color: look("soft"), dash: "dash", width: 1.4 } });
   draw(charts.error, errors, layoutOf("time (s)", "horizontal error (m)", { yaxis: { rangemode: "tozero" }, rest: { shapes: [cursor] } }));
   const band = { type: "rect", xref: "paper", x0: 0, x1: 1, y0: NEES_BAND[0], y1: NEES_BAND[1], fillcolor: "#999999", opacity: 0.2, line: { width: 0 }, layer: "below" };
   draw(charts.nees, estimates.filter((one) => one.nees.length).map((one) => line(one, one.nees.map((v) => (v === null ? null : Math.max(v, 1e-3))))),
-    layoutOf("time (s)", "NEES (grey: 95 %)", { yaxis: { type: "log", dtick: 1, exponentformat: "power" }, rest: { shapes: [cursor, band] } }));
+    layoutOf("time (s)", "NEES (grey: 95 %)", { yaxis: { type: "log", tickvals: DECADES, ticktext: DECADES.map(String) }, rest: { shapes: [cursor, band] } }));
   draw(charts.offset, ...offsetChart(estimates, time, scene, cursor, line));
   return drawn;
 }

@@ -36,8 +36,7 @@ def write_city(path: Path, city: City, rays: Traced | None = None) -> None:
     scene: dict[str, Any] = {
         "sites": [f"transmitter {number}" for number in range(len(transmitters))],
         "site_positions": rounded(transmitters.T, 1),
-        "truth": rounded(receivers[rows].T, 2),
-        "truth_name": "receivers",
+        **({"truth": rounded(receivers[rows].T, 2), "truth_name": "receivers"} if len(receivers) else {}),
         "rays": [] if rays is None else rays_of(rays.paths, len(receivers))[::stride],
         "box": rounded(box.T, 0),
         "city": "city",

@@ -80,8 +80,8 @@ function summaryTable() {
   ];
   part("summary").append(
     sortable(all, lines.map(cells), keys.length + 1),
-    make("p", { class: "note" }, `Below each value its ${data.confidence} % interval, by resampling the trials.`
-      + " Position errors are horizontal, absolute, not aligned. Click a heading to sort."
+    make("p", { class: "note" }, (data.single ? "" : `Below each value its ${data.confidence} % interval, by resampling the trials. `)
+      + "Position errors are horizontal, absolute, not aligned. Click a heading to sort."
       + (data.series.some((one) => one.oracle) ? " Oracle: was shown the truth." : "")),
   );
 }
@@ -158,6 +158,7 @@ for (const [id, needed] of Object.entries(NEEDS)) part(id).hidden = !needed;
 const fill = (id, how) => part(id).hidden || how();
 
 part("trials").querySelector("h2").textContent = data.heading;
+if (data.single) document.querySelector("main").prepend(part("trials"));
 fill("summary", summaryTable);
 fill("ranks", ranksPicture);
 fill("integrity", stanfordPicture);

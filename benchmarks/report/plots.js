@@ -14,6 +14,11 @@ function layoutOf(x, y, more = {}) {
   };
 }
 
+// A legend has up to a row for each name: the plot below it keeps its height.
+function roomFor(home, traces) {
+  home.style.height = `${310 + 19 * traces.filter((trace) => trace.showlegend !== false).length}px`;
+}
+
 const faint = (colour, share) => {
   const [r, g, b] = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
   return `rgba(${r},${g},${b},${share})`;
@@ -29,12 +34,16 @@ function metricsIn(present) {
   return Object.entries(data.metrics).filter(([name]) => present(name));
 }
 
+const SYMBOLS = ["circle", "square", "diamond", "triangle-up", "cross", "x", "star"];
+
+// Where lines meet, the last one is seen, and those before it on both sides of it.
 function curveTraces(curve, metric) {
   const traces = [];
   const places = curve.lines.flatMap((line) => (line.metrics[metric] || [[]])[0]).filter((x) => x !== null);
   const ends = [Math.min(...places), Math.max(...places)];
-  for (const line of curve.lines) {
+  for (const [place, line] of curve.lines.entries()) {
     if (!line.metrics[metric]) continue;
+    const width = 2 + 1.5 * Math.min(curve.lines.length - 1 - place, 3);
     const [x, middle, low, high] = line.metrics[metric];
     if (x.includes(null)) {
       if (low[0] !== null) {
@@ -44,8 +53,9 @@ function curveTraces(curve, metric) {
       traces.push({ x: ends, y: [middle[0], middle[0]], name: line.name, mode: "lines", line: { color: line.colour, dash: "dash" } });
       continue;
     }
-    const reach = (end) => end.map((value, i) => (value === null ? 0 : Math.abs(value - middle[i])));
-    traces.push({ x, y: middle, name: line.name, mode: "lines+markers", line: { color: line.colour },
+    const reach = (end) => end.map((value, i) => (value === null || value === middle[i] ? null : Math.abs(value - middle[i])));
+    traces.push({ x, y: middle, name: line.name, mode: "lines+markers", line: { color: line.colour, dash: line.dash, width },
+      marker: { symbol: SYMBOLS[place % SYMBOLS.length], size: 6 + width },
       error_y: { type: "data", symmetric: false, array: reach(high), arrayminus: reach(low), thickness: 1.2, width: 4 } });
   }
   return [traces, ends[0] > 0 && ends[1] >= 10 * ends[0] ? "log" : "linear"];
@@ -58,6 +68,7 @@ function sweepPlots() {
     const [traces, type] = curveTraces(curve, metric);
     const ticks = [...new Set(traces.flatMap((trace) => trace.x))];
     const axis = ticks.length <= 10 ? { type, tickvals: ticks, ticktext: ticks.map(String) } : { type };
+    roomFor(plots[i], traces);
     Plotly.react(plots[i], traces, layoutOf(curve.key, `median of ${data.metrics[metric]}`,
       { xaxis: axis, yaxis: { rangemode: "tozero" } }), CONFIG);
   });
@@ -97,6 +108,7 @@ function distributionPlots() {
   const draw = () => {
     const [steps, spread] = distributionTraces(data.panels[choice.panel], choice.metric);
     const heading = data.metrics[choice.metric];
+    [shares, boxes].forEach((home) => roomFor(home, steps));
     Plotly.react(shares, steps, layoutOf(heading, "share of trials", { xaxis: { rangemode: "tozero" }, yaxis: { range: [0, 1.01] } }), CONFIG);
     Plotly.react(boxes, spread, layoutOf(heading, "", { xaxis: { rangemode: "tozero" },
       yaxis: { automargin: true }, rest: { showlegend: false } }), CONFIG);

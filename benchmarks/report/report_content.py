@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
@@ -39,6 +39,8 @@ from cellslam.sim.progress import Progress
 MOST_POINTS_OF_CURVES = 400
 MOST_PANELS = 24
 PLOTTED = {key: metric for key, metric in METRIC.items() if metric.axis}
+DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot"}  # matplotlib's and plotly's names
+RMSE, EQUAL = "position_rmse_m", 0.01  # differences of one in a hundred are none in a single trial
 MORE_DIGITS = 1  # than in tables: figures are looked into
 COLUMNS = columns_of("report", (*METRIC_KEYS, *RATIOS))
 
@@ -52,28 +54,48 @@ def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
     styles = estimator_styles(data.labels)
     scenarios = sorted({str(s) for panel in data.panels for one in panel.series for s in one.rows["scenario"]})
     sections, cities = trial_sections(folder, data, chosen, progress)
+    single = len(data.panels) == 1 and all(len(one.rows) == 1 for one in data.panels[0].series)
     return {
         "title": f"Report: {', '.join(scenarios)}",
         "series": [
             {"label": label, "oracle": named[label] in marked, "colour": styles[label]["color"],
-             "dash": "dash" if styles[label]["linestyle"] == "--" else "solid"}
+             "dash": DASHES[styles[label]["linestyle"]]}
             for label in data.labels
         ],
         "summary": _summary(data),
         "ranks": _ranks(data),
         "integrity": _image(lambda figure: draw_stanford(figure, data)),
         "curves": _curves(data),
-        "panels": _distributions(data),
+        "panels": None if single else _distributions(data),
+        "single": single,
+        "lead": _who_did_best(data.panels[0].series, marked) if single else None,
         "columns": {metric: _heading(metric, known.heading) for metric, known in METRIC.items()},
         "metrics": {key: metric.label for key, metric in PLOTTED.items()},
         "confidence": 100 * CONFIDENCE,
         "worst": {"metric": choice.metric, "heading": METRIC[choice.metric].label or choice.metric},
-        "heading": "Worst trials",
+        "heading": "Drive" if single else "Worst trials",
         "trials": sections,
         "cities": cities,
         "failed": failed_trials(folder),
         "provenance": _provenance(folder, data),
     }  # fmt: skip
+
+
+def _who_did_best(series: Sequence[Series], marked: Collection[str]) -> str | None:
+    """Return a sentence on who did best in a single trial, and by how much; None where fewer than two have a score."""
+    scored = [(float(value), one.label) for one in series if one.estimator not in marked for value in one.values(RMSE)]
+    if len(scored) < 2:
+        return None
+    (least, best), *others = sorted(scored)
+    equal = [label for value, label in others if value <= (1.0 + EQUAL) * least]
+    behind = [(value, label) for value, label in others if label not in equal]
+    who = " and ".join([best, *equal]) if len(equal) < 2 else f"{', '.join([best, *equal[:-1]])} and {equal[-1]}"
+    text = f"{who} did best: a position RMSE of {least:.2f} m{' each' if equal else ''}"
+    if behind:
+        text += f", where {behind[0][1]} has {behind[0][0]:.2f} m"
+        farther = behind[-1][0] > (1.0 + EQUAL) * behind[0][0]
+        text += f" and the worst, {behind[-1][1]}, {behind[-1][0]:.2f} m" if farther else ""
+    return f"{text}. One drive says little."
 
 
 def _summary(data: SweepData) -> dict[str, Any]:
@@ -132,7 +154,8 @@ def _curves(data: SweepData) -> list[dict[str, Any]]:
         lines, named = [], sweep_lines(data, key)
         styles = estimator_styles(named)
         for name, points in named.items():
-            line: dict[str, Any] = {"name": name, "colour": styles[name]["color"], "metrics": {}}
+            look = {"colour": styles[name]["color"], "dash": DASHES[styles[name]["linestyle"]]}
+            line: dict[str, Any] = {"name": name, **look, "metrics": {}}
             for metric, known in PLOTTED.items():
                 found = [(x, one.values(metric)) for x, one in points if not isinstance(x, str)]
                 found = [(x, values) for x, values in found if len(values)]

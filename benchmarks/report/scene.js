@@ -20,10 +20,10 @@ function stillTraces({ scene, estimates }) {
   const along = scene.truth_name ? markers3 : lines3;
   return [
     ...(data.cities[scene.city]?.parts ?? []).map(meshTrace),
-    points3(scene.site_positions, { name: "sites", mode: "markers+text", text: scene.sites, textposition: "top center",
-      textfont: { color: "#1b1b1b" }, marker: { color: "#D55E00", size: 5, symbol: "diamond" } }),
-    along(scene.truth_name ?? "true drive", scene.truth ?? NOTHING, "#000000", scene.truth_name ? 2 : 5),
-    markers3("reference", scene.reference ?? NOTHING, "#000000", 2),
+    ...(scene.sites.length ? [points3(scene.site_positions, { name: "sites", mode: "markers+text", text: scene.sites, textposition: "top center",
+      textfont: { color: "#1b1b1b" }, marker: { color: "#D55E00", size: 5, symbol: "diamond" } })] : []),
+    ...(scene.truth ? [along(scene.truth_name ?? "true drive", scene.truth, "#000000", scene.truth_name ? 2 : 5)] : []),
+    ...(scene.reference ? [markers3("reference", scene.reference, "#000000", 2)] : []),
     ...estimates.map((one) => lines3(one.label, one.position, seriesOf(one.label).colour, 4)),
   ];
 }

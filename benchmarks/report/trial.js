@@ -14,10 +14,10 @@ function trialArticle(trial, number) {
   all.checked = Boolean(trial.at_once);
   const shows = Boolean(trial.scene.box);
   const article = make("article", {},
-    trial.label ? make("h3", {}, headingOf(trial, number)) : null,
-    trial.label ? make("p", {}, `${data.worst.heading}: ${shown(trial.value)}`) : null,
+    trial.label && !data.single ? make("h3", {}, headingOf(trial, number)) : null,
+    trial.label && !data.single ? make("p", {}, `${data.worst.heading}: ${shown(trial.value)}`) : null,
     trial.note ? make("p", { class: "note" }, trial.note) : null,
-    trial.rows ? trialTable(trial) : null,
+    trial.rows && !data.single ? trialTable(trial) : null,
     last > 0 ? make("div", { class: "controls" }, play, slider, said,
       trial.scene.vts ? make("label", {}, far, " zoom out to all virtual transmitters") : null,
       trial.scene.rays?.length ? make("label", {}, all, " all rays at once") : null) : null,
@@ -126,7 +126,7 @@ function onKey(event) {
 
 function trialSections() {
   const home = part("trials");
-  if (data.worst) {
+  if (data.worst && !data.single) {
     home.append(make("p", { class: "note" }, `Ranked by ${data.worst.heading}. An estimate's virtual transmitters stand where they`
       + " ended and appear when first measured."));
   }

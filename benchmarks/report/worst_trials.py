@@ -13,14 +13,15 @@ import numpy as np
 
 from cellslam.benchmarks.report.scene import Cities, rounded, scene_of
 from cellslam.benchmarks.scores.metrics import METRIC, METRIC_KEYS
-from cellslam.benchmarks.sweeps.rows import oracles, results
+from cellslam.benchmarks.sweeps.rows import oracles
 from cellslam.benchmarks.sweeps.store import reading, trajectory_of
 from cellslam.benchmarks.sweeps.tasks import identity
 from cellslam.benchmarks.sweeps.trajectories import Trajectory
 from cellslam.benchmarks.tables.summaries import Layout, metrics_of
 from cellslam.scenarios.loading import from_tables
 from cellslam.sim.errors import InputError, unknown_name
-from cellslam.sim.lte.radio_config import is_loaded, load_waveform
+from cellslam.sim.lte.radio_config import RadioConfig
+from cellslam.sim.own_code import load_own
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Ints
 
@@ -76,11 +77,13 @@ def worst_trials(data: SweepData, choice: Choice) -> list[Worst]:
     return out
 
 
-def load_waveforms(folder: Path) -> None:
-    """Import the waveforms of their author's own that the worlds of a store name: code. Raises InputError."""
-    for technology in results(folder, ["radio.technology"])["radio.technology"].dropna().unique():
-        if not is_loaded(technology):
-            load_waveform(technology)
+def load_code(folder: Path) -> None:
+    """Import the code that the worlds of a store name: waveforms, antenna patterns, path losses. Raises InputError."""
+    with reading(folder) as database:
+        worlds = [json.loads(text) for (text,) in database.execute("SELECT tables FROM worlds")]
+    for radio in (world["radio"] for world in worlds if "radio" in world):
+        for key, name in RadioConfig(**radio).code().items():
+            load_own(key, name)
 
 
 def failed_trials(folder: Path) -> dict[str, Any]:
@@ -212,8 +215,9 @@ def _world(folder: Path, key: str, worst: Worst) -> tuple[World | None, str]:
         (text,) = database.execute(query, (key,)).fetchone()
     try:
         scenario = from_tables(json.loads(text), code=False)
-        if not is_loaded(own := scenario.radio.technology):
-            raise InputError(f"its waveform '{own}' is code, which 'report --load' imports")
+        if code := scenario.radio.code():
+            named = ", ".join(f"{key} = '{name}'" for key, name in code.items())
+            raise InputError(f"it names code, {named}, which 'report --load' imports")
         return prepare(scenario.world, worst.seed, worst.trial), ""
     except InputError as error:
         return None, f"The world cannot be made again: {error}."

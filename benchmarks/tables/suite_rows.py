@@ -24,8 +24,8 @@ COLUMNS = ("key", *ROW_KEYS)  # the key is a hash of scenario, estimator, option
 
 @dataclass(frozen=True)
 class SuiteRows:
-    """Rows of a suite, one a drive and estimator: what of it was run, with which versions, on what machine, and which
-    estimators are oracles."""
+    """Rows of a suite, one a drive and estimator: what of it was run, with which versions, on what machine, which
+    estimators are oracles, and which options of estimators were `changed`, as KEY=VALUE."""
 
     suite: Suite
     scenarios: tuple[str, ...]
@@ -34,6 +34,7 @@ class SuiteRows:
     machine: str
     oracles: frozenset[str]
     rows: pd.DataFrame
+    changed: tuple[str, ...] = ()
 
     @property
     def whole(self) -> bool:
@@ -41,24 +42,39 @@ class SuiteRows:
         return self.trials == self.suite.trials and self.scenarios == self.suite.scenarios
 
     @property
+    def result(self) -> bool:
+        """Whether these rows are the suite's result: all of it, with the options that estimators have themselves."""
+        return self.whole and not self.changed
+
+    @property
     def panels(self) -> dict[str, pd.DataFrame]:
         """The rows of each scenario."""
         return {name: self.rows[self.rows["scenario"] == name] for name in self.scenarios}
 
 
-def stored(folder: Path, one: Suite, scenarios: Sequence[str], trials: int, keys: Collection[str]) -> SuiteRows:
-    """Return the rows of these `keys` in a store, which are what was run of a suite: `scenarios` and first `trials`."""
+def stored(
+    folder: Path,
+    one: Suite,
+    scenarios: Sequence[str],
+    trials: int,
+    keys: Collection[str],
+    changed: Sequence[str] = (),
+) -> SuiteRows:
+    """Return the rows of these `keys` in a store, which are what was run of a suite: `scenarios` and first `trials`,
+    with the options `changed`, as KEY=VALUE."""
     rows = results(folder, COLUMNS)
     rows = rows[rows["key"].isin(keys)]
     versions = provenance(folder)[-1]["versions"]
     marked = oracles(folder) & {*rows["estimator"]}
-    return SuiteRows(one, tuple(scenarios), trials, versions, platform.machine(), marked, rows)
+    return SuiteRows(one, tuple(scenarios), trials, versions, platform.machine(), marked, rows, tuple(changed))
 
 
 def as_text(some: SuiteRows) -> str:
-    """Return the rows of a whole suite as JSON, with its digest, a row a line. Raises InputError for a part of one."""
-    if not some.whole:
-        raise InputError(f"rows of a part of {some.suite.name} are no entry: leave out --trials and --scenario")
+    """Return the rows of a whole suite as JSON, with its digest, a row a line. Raises InputError for a part of one, and
+    for changed options."""
+    if not some.result:
+        text = f"rows of a part of {some.suite.name}, or with changed options, are no entry"
+        raise InputError(f"{text}: leave out --trials, --scenario and --set")
     head = {"suite": some.suite.name, "digest": digest(some.suite), "machine": some.machine, "versions": some.versions}
     head["oracles"] = sorted(some.oracles)
     rows = some.rows[list(COLUMNS)].astype(object).to_numpy().tolist()

@@ -37,6 +37,7 @@ def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") 
     """Return the whole page. `left`: what was left out, and why; `picture`: the file of the ranks' diagram, if any."""
     one, trials = some.suite, some.trials
     title = one.name if some.whole else f"{one.name}, a part: trials 0 to {trials - 1} of {', '.join(some.scenarios)}"
+    title += f", with {', '.join(some.changed)}" if some.changed else ""
     judged, power = verdicts(some.panels, some.oracles), verdicts(map_builders(some.panels))
     versions = ", ".join(f"{name} {text}" for name, text in some.versions.items())
     about = (
@@ -44,7 +45,7 @@ def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") 
     )
     head = [
         f"# Accuracy: {title}",
-        "" if some.whole else "\nNot the suite's result: it takes all scenarios and trials.\n",
+        "" if some.result else f"\nNot the suite's result: it takes {_what_a_result_takes(some)}.\n",
         *([f"Superseded by `{newer}`.\n"] if (newer := superseded_by(one)) else []),
         _filled(about),
         _filled(f"Made with {versions}, on {some.machine}, by"),
@@ -58,6 +59,11 @@ def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") 
         whole = [f"\n## All scenarios\n\n{standings(some, judged)}", *_judged(judged.get(ALL), power.get(ALL))]
         parts.insert(0, "\n".join([*whole, *([f"\n![Mean ranks]({picture})"] if picture else [])]))
     return "\n".join([*head, *parts]).rstrip() + "\n"
+
+
+def _what_a_result_takes(some: SuiteRows) -> str:
+    lacking = () if some.whole else ("all scenarios and trials",)
+    return " and ".join((*lacking, *(("the options that estimators have themselves",) if some.changed else ())))
 
 
 def leaderboard_markdown(some: SuiteRows, made_with: dict[str, str], command: str, picture: str) -> str:

@@ -166,7 +166,8 @@ class Results:
         if trial.drive.recording is not None and results:
             city = world.scene.city if world else None
             with writing(self.folder):
-                draw_all(city, trial.drive.recording, results, trial.drive.bound, self.folder, progress)
+                asked = bool(self.arguments.calibration or self.arguments.save_calibration)
+                draw_all(city, trial.drive.recording, results, trial.drive.bound, self.folder, progress, None, asked)
         if world is not None and getattr(self.arguments, "rays", False):
             from cellslam.benchmarks.report.city_page import draw_rays
 

@@ -10,13 +10,15 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import as_file, files
+from typing import Any
 
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.external_options import asking
 from cellslam.scenarios.loading import load
+from cellslam.scenarios.overrides import apply, split
 from cellslam.scenarios.scenario import Scenario
 from cellslam.scenarios.sweep_points import Point
-from cellslam.sim.errors import unknown_name
+from cellslam.sim.errors import InputError, unknown_name
 
 
 @dataclass(frozen=True)
@@ -78,8 +80,26 @@ def scenario_of(one: Suite, name: str) -> Scenario:
         return load(path)
 
 
-def points_of(one: Suite, scenarios: Sequence[str], estimators: Sequence[str]) -> list[Point]:
-    """Return what is driven: each of the `scenarios` with all estimators. Raises InputError."""
+def points_of(
+    one: Suite, scenarios: Sequence[str], estimators: Sequence[str], options: Mapping[str, Any] | None = None
+) -> list[Point]:
+    """Return what is driven: each of the `scenarios` with all estimators.
+
+    `options` are values of dotted keys, all of them estimators' options. Raises InputError for any other key, as the
+    worlds of a suite do not change, and for an estimator that is not driven.
+    """
+    changed = dict(options or {})
+    for key in changed:
+        if not key.startswith("estimator."):
+            raise InputError(f"{key}: the worlds of a suite are fixed; 'cellslam sweep' changes those of a scenario")
     with asking() as ask:
-        every = [scenario_of(one, name) for name in scenarios]
-        return [Point({}, s, resolve(s.estimator, estimators, ask=ask)) for s in every]
+        points = []
+        for name in scenarios:
+            scenario = scenario_of(one, name)
+            tables = apply({"estimator": scenario.estimator}, changed)["estimator"]
+            points.append(Point({}, scenario, resolve(tables, estimators, changed, ask)))
+    driven = {text for point in points for request in point.requests for text in (request.name, request.target)}
+    for key in changed:
+        if split(key)[1] not in driven:
+            raise InputError(f"{key}: that estimator is not driven (driven: {', '.join(sorted(driven))})")
+    return points

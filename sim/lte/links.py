@@ -65,8 +65,6 @@ def link_table(cells: Cells) -> LinkTable:
         port=port,
         slant=slant(port),
         cell_site=cells.site,
-        cell_azimuth=cells.azimuth_rad,
-        cell_tilt=cells.tilt_rad,
         cell_ports=cells.ports,
     )
 

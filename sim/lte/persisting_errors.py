@@ -18,7 +18,7 @@ from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.lte.statistical.detector_layout import TRAIL_DECAY_M
 from cellslam.sim.lte.statistical.measurement_kernel import Fields
-from cellslam.sim.lte.statistical.statistics import LTE, Statistics, statistics
+from cellslam.sim.lte.statistical.statistics import LTE, Statistics, statistics_of
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Floats
 
@@ -62,8 +62,8 @@ def _diffuse_floor(config: RadioConfig, constants: Statistics | None) -> Floats:
     Where they were not measured, those of LTE of 20 MHz are scaled: the energy in a resolution cell disturbs a path, in
     amplitude its root, and draws the distance to the mean delay of that energy (studies/nr-drives.md).
     """
-    floor = np.array((constants or statistics(config.statistics_band or LTE)).diffuse_floor)
-    if config.statistics_band not in (LTE, ""):
+    floor = np.array((constants or statistics_of(config)).diffuse_floor)
+    if config.statistics_file or config.statistics_band not in (LTE, ""):
         return floor
     (share, delay), (measured, measured_delay) = (
         _trail_within(SPEED_OF_LIGHT_MPS / waveform.bandwidth_hz) for waveform in (config.waveform(), LteWaveform())

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from importlib import import_module
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cellslam.sim.errors import InputError, one_line
+from cellslam.sim.own_code import OWN, is_loaded, load_own
 
 if TYPE_CHECKING:
     from cellslam.sim.waveform import Waveform
 
+Floats = NDArray[np.float64]
 NOISE_BANDWIDTH_HZ = 15e3  # that `noise_dbm` is given for
 
 
@@ -24,29 +28,8 @@ class Band(NamedTuple):
 
 
 LTE_THRESHOLD = 17.4
+SECTOR, FREE_SPACE = "3gpp", "free-space"  # built-in antenna pattern and path loss
 NR_BANDS = {48: Band("20 MHz", 17.4), 132: Band("50 MHz", 18.4), 272: Band("100 MHz", 19.2)}  # by blocks of 30 kHz
-
-
-_LOADED: dict[str, Any] = {}  # waveforms of one's own that this process was asked for, by `technology`
-
-
-def load_waveform(technology: str) -> Any:
-    """Return the class that `technology`, module:Class, names: its module is imported. Raises InputError."""
-    if technology not in _LOADED:
-        module, _, name = technology.partition(":")
-        try:
-            _LOADED[technology] = getattr(import_module(module), name)
-        except Exception as error:
-            raise InputError(f"radio.technology '{technology}' cannot be loaded: {one_line(error)}") from error
-    return _LOADED[technology]
-
-
-def is_loaded(technology: str) -> bool:
-    """Return whether a waveform is cellslam's own, or was loaded by this process before.
-
-    A recording is data: code that it names is not loaded.
-    """
-    return ":" not in technology or technology in _LOADED
 
 
 def threshold_of(keys: dict[str, Any]) -> float:
@@ -67,7 +50,7 @@ class RadioConfig(BaseModel):
     )
     technology: str = Field(
         "lte",
-        pattern=r"^(lte|nr|[\w.]+:\w+)$",
+        pattern=rf"^(lte|nr|{OWN})$",
         description="waveform: lte, nr, or module:Class of one's own (signal level)",
     )
     carrier_hz: float = Field(2.66e9, ge=0.4e9, le=6e9, description="carrier frequency, Hz")
@@ -77,6 +60,25 @@ class RadioConfig(BaseModel):
     numerology: int = Field(1, ge=1, le=2, description="nr: subcarriers of 30 or 60 kHz")
     prs_comb: int = Field(12, ge=2, le=12, description="nr: a port sends on every so many-th subcarrier of a symbol")
     prs_symbols: int = Field(12, ge=2, le=12, description="nr: symbols of a slot in which a port sends")
+
+    # At their defaults these three are left out, so that a world is called what it was before there were any.
+    statistics_file: str | None = Field(
+        None,
+        exclude_if=lambda file: file is None,
+        description="JSON file with the constants of the statistical detector (not given: those measured in the band)",
+    )
+    antenna_pattern: str = Field(
+        SECTOR,
+        pattern=rf"^({SECTOR}|{OWN})$",
+        exclude_if=lambda name: name == SECTOR,
+        description=f"gain of a sector's antenna over direction: {SECTOR} (TR 36.814), or module:function of one's own",
+    )
+    path_loss: str = Field(
+        FREE_SPACE,
+        pattern=rf"^({FREE_SPACE}|{OWN})$",
+        exclude_if=lambda name: name == FREE_SPACE,
+        description=f"loss over the length of a path: {FREE_SPACE}, or module:function of one's own",
+    )
 
     eirp_dbm: float = Field(
         30.0, ge=-30.0, le=60.0, description="radiated power per reference element and port at boresight, dBm"
@@ -195,12 +197,12 @@ class RadioConfig(BaseModel):
     def _check_waveform(self) -> RadioConfig:
         if self.technology == "lte" and self.resource_blocks > 110:
             raise ValueError(f"resource_blocks = {self.resource_blocks}: LTE has 6 to 110 (nr: up to 272)")
-        if not self.statistics_band and self.front_end == "statistical":
+        if not (self.statistics_band or self.statistics_file) and self.front_end == "statistical":
             measured = ", ".join(f"{blocks} ({band.width})" for blocks, band in NR_BANDS.items())
             raise ValueError(
                 f"technology = '{self.technology}' with these keys has no statistics of its detector: lte has, and nr "
                 f"with resource_blocks {measured}, numerology 1, and prs_symbols equal to prs_comb; otherwise set "
-                "radio.front_end to signal"
+                "radio.front_end to signal, or give radio.statistics_file"
             )
         if self.technology == "nr":
             self.waveform()
@@ -218,6 +220,37 @@ class RadioConfig(BaseModel):
         """Return the receiver's noise per resource element and array port, in mW."""
         return float(10.0 ** (self.noise_dbm / 10.0) * (self.waveform().element_hz / NOISE_BANDWIDTH_HZ))
 
+    def code(self) -> dict[str, str]:
+        """Return what these keys name of code that is not cellslam's own, and was not loaded by this process."""
+        named = {f"radio.{key}": str(getattr(self, key)) for key in ("technology", "antenna_pattern", "path_loss")}
+        return {key: name for key, name in named.items() if not is_loaded(name)}
+
+    def sector_gain_db(self, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, tilt_rad: ArrayLike) -> Floats:
+        """Return the gain (...,) in dB of a sector's antenna over its greatest, broadcast over its arguments.
+
+        Azimuth from boresight; elevation of the departing path, up positive; down-tilt: all in rad. Raises InputError
+        where a pattern of one's own returns something else.
+        """
+        from cellslam.sim.rays.antenna import sector_gain_db
+
+        given = azimuth_rad, elevation_rad, tilt_rad
+        if self.antenna_pattern == SECTOR:
+            return sector_gain_db(*given, peak_dbi=0.0)
+        return _asked("radio.antenna_pattern", self.antenna_pattern, np.broadcast(*given).shape, *given)
+
+    def path_gain_factor(self, length_m: Floats, order: NDArray[np.int64]) -> Floats | None:
+        """Return by what to multiply the amplitudes (P,) of paths as traced, which are those of free space; None: one.
+
+        `length_m` (P,), `order` (P,): number of reflections and diffractions. Raises InputError where a path loss of
+        one's own returns something else than numbers.
+        """
+        from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
+
+        if self.path_loss == FREE_SPACE:
+            return None
+        loss_db = _asked("radio.path_loss", self.path_loss, length_m.shape, length_m, order, self.carrier_hz)
+        return np.asarray(4.0 * np.pi * length_m * self.carrier_hz / SPEED_OF_LIGHT_MPS * 10.0 ** (-loss_db / 20.0))
+
     def waveform(self) -> Waveform:
         """Return the waveform of these keys: `technology` says which. Raises InputError where there is none."""
         if self.technology == "lte":
@@ -230,9 +263,23 @@ class RadioConfig(BaseModel):
             return NrWaveform(self.resource_blocks, self.numerology, self.prs_comb, self.prs_symbols)
         from cellslam.sim.waveform.waveform import checked
 
-        kind = load_waveform(self.technology)
+        kind = load_own("radio.technology", self.technology)
         try:
             own = kind(self)
         except Exception as error:
             raise InputError(f"radio.technology '{self.technology}' cannot be made: {one_line(error)}") from error
         return checked(own, self.window_max_m - self.window_min_m)
+
+
+def _asked(key: str, name: str, shape: tuple[int, ...], *given: Any) -> Floats:
+    """Return the numbers that a function of the user's own gives, of this shape. Raises InputError."""
+    part: Callable[..., Any] = load_own(key, name)
+    try:
+        found = np.asarray(part(*given), np.float64)
+    except Exception as error:
+        error.add_note(f"in the {key} {name}")
+        raise
+    if found.shape != shape or np.isnan(found).any():
+        what = "NaN" if found.shape == shape else f"an array of shape {found.shape}"
+        raise InputError(f"{key}: {name} returned {what}, where numbers of shape {shape} are needed")
+    return found

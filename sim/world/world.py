@@ -158,6 +158,9 @@ class World(Reception):
             carrier = self.config.radio.carrier_hz
             more = reflected_paths(self.traffic, self.scene, self.sites_m, receivers_m, time_s, carrier)
             paths = joined([paths, *more])
+        factor = self.config.radio.path_gain_factor(paths.length_m, paths.order)
+        if factor is not None:
+            paths = replace(paths, gain=paths.gain * factor[:, None, None])
         return paths, blocked_paths(self.traffic, paths, self.sites_m, receivers_m, time_s)
 
     def free_paths(self, poses: Floats, snapshots: Ints) -> Paths:

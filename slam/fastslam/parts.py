@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from inspect import signature
@@ -32,9 +32,9 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from cellslam.sim.errors import InputError, one_line, unknown_name
+from cellslam.sim.own_code import seek_here
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.resampling import SCHEMES
-from cellslam.slam.registry import seek_here
 
 Bools = NDArray[np.bool_]
 NO_VT = -1  # a measurement of no candidate
@@ -250,6 +250,52 @@ BUILT_IN: Mapping[str, Mapping[str, Callable[..., Any]]] = {
     "pruning": {"unlikely": unlikely, "never": never},
     "resampling": SCHEMES,
 }  # fmt: skip
+
+
+# What a part that is never asked was waiting for, in a drive in which others were asked.
+NO_BLOCK = "no block of snapshots ended; 'block_s' says how long one is"
+WAITS_FOR = {
+    "association": "there was no VT yet",
+    "birth": "there was no measurement",
+    "proposal": "nothing was drawn; 'lag' says when it is",
+    "update": NO_BLOCK,
+    "weight": NO_BLOCK,
+    "pruning": NO_BLOCK,
+    "resampling": "weights were never unequal enough; 'effective_share' says how unequal they must be",
+}
+
+
+class Asked:
+    """A part in its slot during a drive: it counts how often it is asked, and an error inside it says which part it
+    is."""
+
+    def __init__(self, slot: str, part: Callable[..., Any]) -> None:
+        """Take the slot and the part."""
+        self.slot, self.part, self.times = slot, part, 0
+
+    def __call__(self, *given: Any) -> Any:
+        """Return what the part returns."""
+        self.times += 1
+        try:
+            return self.part(*given)
+        except Exception as error:
+            error.add_note(f"in the {self.slot} {self.name}")
+            raise
+
+    @property
+    def name(self) -> str:
+        """What the part is called, as module:name."""
+        named = self.part if hasattr(self.part, "__qualname__") else type(self.part)
+        return f"{named.__module__}:{named.__qualname__}"
+
+
+def never_asked(asked: Sequence[Any]) -> list[str]:
+    """Return a remark for each part that is not the default one and was never asked, whether others were or not."""
+    left = [one for one in asked if one.part is not getattr(Parts(), one.slot) and not one.times]
+    if left and not any(one.times for one in asked):
+        slots = ", ".join(one.slot for one in left)
+        return [f"{slots}: never asked: particles are drawn once clock offsets are resolved, and none was"]
+    return [f"{one.slot}: {one.name} was never asked, while others were: {WAITS_FOR[one.slot]}" for one in left]
 
 
 KINDS = {"f": "numbers", "i": "whole numbers", "b": "true or false"}  # of what parts return, by NumPy's letters

@@ -54,7 +54,7 @@ def ran(cellslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Calla
     """Whether `evil`, a module that Python would find, was imported."""
     (tmp_path / "evil.py").write_text(EVIL)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr("cellslam.sim.lte.radio_config._LOADED", {})
+    monkeypatch.setattr("cellslam.sim.own_code._LOADED", {})
     monkeypatch.delitem(sys.modules, "evil", raising=False)
     return lambda: (tmp_path / "ran").exists()
 
@@ -130,6 +130,9 @@ def test_to_look_at_results_runs_nothing(ran: Callable[[], bool], cellslam: Run)
         assert done.status == 0, done.err
         assert "evil:W (oracle)" in done.out or command in ("figures", "report")
     assert not ran() and str(Path.cwd()) not in sys.path[1:]
-    assert "its waveform 'evil:W' is code, which 'report --load' imports" in Path("results/report.html").read_text()
+    assert (
+        "it names code, radio.technology = 'evil:W', which 'report --load' imports"
+        in Path("results/report.html").read_text()
+    )
     cellslam("report", "results", "--load")
     assert ran() and "radio.technology 'evil:W' cannot be made" in Path("results/report.html").read_text()

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+import trimesh
 
 from cellslam.cli.cities import find_city
 from cellslam.cli.commands.init import read_line, read_places
@@ -61,6 +62,32 @@ def box(x: float, y: float, z: float, index: int) -> str:
     faces = [(1, 2, 6, 5), (2, 4, 8, 6), (4, 3, 7, 8), (3, 1, 5, 7), (5, 6, 8, 7), (1, 3, 4, 2)]
     lines = [f"o house{index}", *(f"v {a} {b} {c}" for a, b, c in corners)]
     return "\n".join([*lines, *("f " + " ".join(str(8 * index + n) for n in face) for face in faces), ""])
+
+
+def test_a_city_on_its_side_is_noted_and_up_sets_it_upright(cellslam: Run) -> None:
+    """Blocks of 12 m height on a square of 200 m, in a file whose y is up."""
+    corners = [(x, z) for x in (0.0, 90.0, 180.0) for z in (0.0, 90.0, 180.0)]
+    boxes = [trimesh.creation.box((20.0, 12.0, 20.0)).apply_translation((x, 6.0, z)) for x, z in corners]
+    trimesh.util.concatenate(boxes).export("y-up.obj")
+    line = ("init", "y-up.obj", "--distance", 40, "--no-figures")
+    assert "if another axis is up" in cellslam("city", "inspect", "y-up.obj", "--no-figures").out
+    done = cellslam(*line, "--up", "y", "--out", "upright.toml")
+    assert done.status == 0 and "another axis" not in done.err, done.err
+    scenario = load("upright.toml")
+    assert scenario.city.kind == "mesh" and scenario.city.up == "y"
+    height, length = np.ptp(prepare(scenario.world, 0, 0).scene.city.vertices, axis=0)[[2, 0]]
+    assert (height, length) == pytest.approx((12.0, 200.0))
+
+
+def test_a_route_beside_the_streets_is_noted(cellslam: Run) -> None:
+    done = cellslam("init", *ALONG, "--out", "along.toml", "--no-figures")
+    assert done.status == 0 and "more than 15 m from every street" not in done.err
+    north = 50.0 + 45.0 / METRES_A_DEGREE  # behind the houses
+    points = "".join(f'<trkpt lat="{north}" lon="{lon}"/>' for lon in (9.9990, 10.0005))
+    Path("field.gpx").write_text(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>")
+    done = cellslam("init", ALONG[0], "--route", "field.gpx", "--out", "field.toml", "--no-figures")
+    assert done.status == 0, done.err
+    assert "of the route are more than 15 m from every street, first at (" in done.err
 
 
 def test_route_and_sites_of_files(cellslam: Run, village: City) -> None:

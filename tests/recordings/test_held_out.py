@@ -39,7 +39,7 @@ def test_a_difference_is_sure_as_students_test_has_it() -> None:
 
 def test_a_false_alarm_is_as_rare_as_it_says() -> None:
     pairs = np.random.default_rng(4).standard_normal((2000, 2, 24))
-    assert sum(compared(*pair).sure for pair in pairs) / len(pairs) < 0.02
+    assert 0.03 < sum(compared(*pair).sure for pair in pairs) / len(pairs) < 0.07
 
 
 def test_density_of_a_measurement_of_which_a_part_is_missing() -> None:

@@ -279,7 +279,8 @@ def draw_points(
 ) -> None:
     """Draw the statistic of each sample (n,) with its interval, in the sample's units, at its place along x."""
     middle, *ends = np.stack([choice.summed(values) for values in samples], axis=1)
-    reach = np.nan_to_num(np.abs(ends - middle))
+    reach = np.abs(ends - middle)
+    reach[:, ~(reach > 0.0).any(axis=0)] = np.nan  # an interval without length is not drawn
     drawn = {"marker": "o", "markersize": 4.5, "markeredgecolor": "white", "markeredgewidth": 0.6, **style}
     axes.errorbar(at, middle, yerr=reach, **drawn, capsize=2.5, elinewidth=0.9)
 

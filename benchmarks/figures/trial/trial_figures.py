@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 GAP, LEAST_GAP_S = 5.0, 2.0  # a pause of so many median intervals breaks a curve, if it is no shorter
 DOT = 2.2
+MAGNIFIED = 2.0  # from which ratio of the errors on the smaller ones are drawn again
+CALIBRATION = "calibration-"  # begins the names of these figures
 SETTLED_SHARE = 0.25  # of the drive, after which clock offsets are shown magnified
 
 Results = Mapping[str, TrialResult]
@@ -56,7 +58,7 @@ def drawings(
     }
     for name, calibration in ((name, r.calibration) for name, r in results.items() if r.calibration is not None):
         draw = partial(array_calibration.draw, calibration=calibration, provenance=recording.provenance)
-        out[f"calibration-{file_name(name)}"] = draw
+        out[f"{CALIBRATION}{file_name(name)}"] = draw
     return out
 
 
@@ -68,18 +70,20 @@ def draw_all(
     out_dir: str | Path,
     progress: Progress = silent,
     names: Sequence[str] | None = None,
+    calibration: bool = False,
 ) -> list[Path]:
     """Draw every figure that applies, write each as `out_dir`/NAME.png, and return the paths written.
 
-    `names`: of the figures to draw (None: all).
+    `names`: of the figures to draw (None: all, of the array's calibration only if that is asked for).
     """
     every = drawings(city, recording, results, bound)
-    return style.write_all({name: every[name] for name in names or every}, out_dir, ("png",), progress)
+    wanted = names or [name for name in every if calibration or not name.startswith(CALIBRATION)]
+    return style.write_all({name: every[name] for name in wanted}, out_dir, ("png",), progress)
 
 
 def draw_error(figure: Figure, recording: Recording, results: Results, bound: BoundResult | None) -> bool:
     """Draw the absolute horizontal errors with the bound (the paper's Fig. 3), and below them all but dead reckoning
-    magnified; needs truth or a reference."""
+    magnified, where these are much smaller; needs truth or a reference."""
     found = {name: errors_over_time(recording, result.poses) for name, result in results.items()}
     known = {name: pair for name, pair in found.items() if pair is not None}
     if not known:
@@ -88,11 +92,11 @@ def draw_error(figure: Figure, recording: Recording, results: Results, bound: Bo
     errors = {name: error for name, (_, error) in known.items()}
     small = [float(e.max()) for name, e in errors.items() if name != ODOMETRY_ALONE]
     small += [] if bound is None else [float(bound.horizontal_std_m.max())]
-    magnified = bool(small) and ODOMETRY_ALONE in errors
+    magnified = bool(small) and ODOMETRY_ALONE in errors and MAGNIFIED * max(small) < errors[ODOMETRY_ALONE].max()
     figure.set_size_inches(WIDTH_IN, 4.2 if magnified else 3.0)
     panels = figure.subplots(2 if magnified else 1, 1, squeeze=False, sharex=True)[:, 0]
     for axes in panels:
-        for name, line in style.estimator_styles(errors).items():
+        for name, line in style.curve_styles(errors).items():
             _error(axes, time_s, errors[name], line)
         if bound is not None:
             axes.fill_between(time_s, bound.horizontal_std_m, color=GREY, alpha=0.35, linewidth=0)

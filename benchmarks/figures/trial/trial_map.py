@@ -46,6 +46,7 @@ LINE_OF_SIGHT_M = 15.0
 FEWEST_MEASUREMENTS = 40
 SNAPSHOTS_PER_POINT = 40
 MARGIN = 0.08
+HEIGHT_IN, LEGEND_ROW_IN = 4.0, 0.17
 LARGER = 1.15
 FAR = 5.0  # of the drive's size, or of half of the VTs' distance: what lies beyond is not drawn
 Extent = tuple[tuple[float, float], tuple[float, float]]
@@ -84,8 +85,8 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
     sites = truth.site_positions_m[:, :2] if truth is not None else np.zeros((0, 2))
     seen = [sites, *(reflector.points_m[:, :2] for reflector in mapped), *vts.values()]
     scene = _square(np.concatenate([_driven(recording, tracks), *(poses[:, :2] for poses in tracks.values()), *seen]))
-    alone = truth is None and np.ptp(scene[0]) < LARGER * np.ptp(drive[0])
-    figure.set_size_inches(0.6 * WIDTH_IN if alone else WIDTH_IN, 4.1)
+    alone = np.ptp(scene[0]) < LARGER * np.ptp(drive[0])
+    figure.set_size_inches(0.6 * WIDTH_IN if alone else WIDTH_IN, HEIGHT_IN)
     panels = figure.subplots(1, 1 if alone else 2, squeeze=False)[0]
     for axes, extent in zip(panels, (scene, drive)[: len(panels)], strict=True):
         _buildings(axes, city, mapped)
@@ -105,8 +106,10 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
         (x0, x1), (y0, y1) = drive
         panels[0].add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, color=GREY, linewidth=0.8, linestyle=":"))
         panels[0].set_title("sites, reflecting walls" if truth is not None else "the map")
-    labels = panels[0].get_legend_handles_labels()
-    figure.legend(*labels, loc="outside lower center", ncols=2 if alone else 4, markerscale=2)
+    handles, labels = panels[0].get_legend_handles_labels()
+    columns = 2 if alone else 4
+    figure.set_figheight(HEIGHT_IN + LEGEND_ROW_IN * -(-len(labels) // columns))
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, markerscale=2)
     return True
 
 

@@ -20,6 +20,7 @@ from cellslam.benchmarks.sweeps.tasks import Lost, plan
 from cellslam.benchmarks.trials.output_files import check_file, write_text
 from cellslam.cli.arguments import DONE, FAILED, REPEATED, WORK, add, limits, whole
 from cellslam.cli.commands.sweep import carry, in_part, processes
+from cellslam.scenarios.overrides import parse_all
 from cellslam.scenarios.suites import Suite, points_of, suite
 from cellslam.sim.errors import InputError
 from cellslam.slam import registry
@@ -27,9 +28,16 @@ from cellslam.slam import registry
 if TYPE_CHECKING:
     from cellslam.benchmarks.tables.suite_rows import SuiteRows
 
-EXAMPLES = ("bench accuracy --trials 2 --out accuracy",)
+EXAMPLES = (
+    "bench accuracy --trials 2 --out accuracy",
+    "bench accuracy --trials 2 --scenario canyon --estimator fastslam --set estimator.fastslam.lag=0",
+)
 # Other versions and processors round otherwise, and an estimator's choices may hang on the last digit.
 TOLERANCE = 0.01
+OPTIONS_OF_ITS_OWN = (
+    "an entry has estimators with the options that they have themselves: leave out --set, and give yours a class with "
+    "a name and these options"
+)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -39,6 +47,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     scenario_help = "this scenario of the suite alone; may be repeated"
     parser.add_argument("--scenario", metavar="NAME", dest="scenarios", help=scenario_help, **REPEATED)
     add(parser, "--estimator", help="in place of all built-ins; by name or as module:Class; may be repeated")
+    set_help = (
+        "change one option of an estimator, as in estimator.fastslam.lag=0; may be repeated: not the suite's result"
+    )
+    add(parser, "--set", help=set_help)
     add(parser, "--out", help="folder of the results; one that exists is resumed (default: results/SUITE)")
     write_help = "write the tables as Markdown, besides printing them, and beside them the ranks as FILE.png"
     parser.add_argument("--write", metavar="FILE.md", help=write_help)
@@ -53,11 +65,14 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def command(arguments: Namespace) -> int:
     if arguments.check:
+        if arguments.sets:
+            raise InputError(OPTIONS_OF_ITS_OWN)
         return check(arguments)
     one = suite(arguments.suite)
     trials = _trials(arguments, one)
     scenarios = tuple(arguments.scenarios) or one.scenarios
-    points = points_of(one, scenarios, registry.expanded(arguments.estimators) or built_in())
+    options = parse_all(arguments.sets)
+    points = points_of(one, scenarios, registry.expanded(arguments.estimators) or built_in(), options)
     out = Path(arguments.out or f"results/{one.name}")
     for file in (arguments.write, arguments.rows):
         if file:
@@ -66,6 +81,8 @@ def command(arguments: Namespace) -> int:
                 raise InputError("--write and --rows are of all shards: repeat the command without --shard at the end")
     if arguments.rows and (trials, scenarios) != (one.trials, one.scenarios):
         raise InputError("--rows is of a whole suite: leave out --trials and --scenario")
+    if arguments.rows and options:
+        raise InputError(OPTIONS_OF_ITS_OWN)
     each = [one.trials_of(name, trials) for name in scenarios]
     status = carry(arguments, points, each, one.seed, out)
     if status not in (DONE, FAILED) or in_part(arguments):
@@ -74,7 +91,7 @@ def command(arguments: Namespace) -> int:
     from cellslam.benchmarks.tables.suite_tables import suite_markdown
 
     keys = {job.key for task in plan(points, each, one.seed).tasks for job in task.jobs}
-    some = suite_rows.stored(out, one, scenarios, trials, keys)
+    some = suite_rows.stored(out, one, scenarios, trials, keys, arguments.sets)
     page = Path(arguments.write) if arguments.write else None
     picture = draw_verdicts(some, page.with_suffix(".png")) if page else ""
     command = shlex.join(["cellslam", *arguments.words])

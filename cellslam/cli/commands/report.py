@@ -17,21 +17,21 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--worst", metavar="N", type=whole, default=3, help="trials with a section each (default: 3)")
     metric_help = "by which trials are the worst (default: position_rmse_m)"
     parser.add_argument("--metric", metavar="NAME", default="position_rmse_m", help=metric_help)
-    load_help = "import the waveforms that the results name, too, to make the worlds of the worst trials again"
+    load_help = "import the code that the results name for their worlds, too, to make those of the worst trials again"
     parser.add_argument("--load", help=load_help, **FLAG)
     add(parser, "--estimator", help="whose worst trials; may be repeated (default: the estimator with the best median)")
 
 
 def command(arguments: Namespace) -> None:
     from cellslam.benchmarks.report.page import write_report
-    from cellslam.benchmarks.report.worst_trials import Choice, load_waveforms
+    from cellslam.benchmarks.report.worst_trials import Choice, load_code
     from cellslam.benchmarks.sweeps.store import lost_in_words
     from cellslam.progress_bars import bars
 
     choice = Choice(arguments.worst, arguments.metric, tuple(arguments.estimators))
     folder, out = Path(arguments.folder), Path(arguments.out) if arguments.out else None
     if arguments.load:
-        load_waveforms(folder)
+        load_code(folder)
     with bars(arguments.quiet) as progress:
         path = write_report(folder, out, choice, progress)
     note(arguments, lost_in_words(folder))

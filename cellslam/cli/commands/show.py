@@ -21,10 +21,8 @@ from cellslam.scenarios.estimator_options import own_code, resolve
 from cellslam.scenarios.keys import Key, describe
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.overrides import parse_all
-from cellslam.scenarios.recording_origin import TECHNOLOGY
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import InputError
-from cellslam.sim.lte.radio_config import is_loaded
 from cellslam.slam import registry
 
 EXAMPLES = ("show tiny", "show lund-530 radio", "show lund-530 --all")
@@ -64,9 +62,8 @@ def command(arguments: Namespace) -> None:
 def _code(scenario: Scenario) -> dict[str, str]:
     """Return all code that a scenario names, by key. To look at a scenario runs none of it."""
     built_in, known = {entry.name for entry in registry.BUILT_IN}, registry.names()
-    waveform = {} if is_loaded(scenario.radio.technology) else {TECHNOLOGY: scenario.radio.technology}
     others = [name for name in scenario.estimator if name not in built_in and (":" in name or name in known)]
-    return {**waveform, **own_code(scenario.estimator), **{f"estimator.{name}": name for name in others}}
+    return {**scenario.radio.code(), **own_code(scenario.estimator), **{f"estimator.{name}": name for name in others}}
 
 
 def _keys(scenario: Scenario, code: Mapping[str, str]) -> Iterator[Key]:

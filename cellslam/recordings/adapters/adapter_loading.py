@@ -10,8 +10,9 @@ from typing import Any
 
 from cellslam.recordings.importing.campaign import Campaign, build
 from cellslam.sim.errors import InputError, nearest_name, one_line
+from cellslam.sim.own_code import seek_here
 from cellslam.sim.recording import Recording
-from cellslam.slam.registry import own_traceback, seek_here
+from cellslam.slam.registry import own_traceback
 
 ADAPTERS = {
     "victoria-park": "cellslam.recordings.adapters.victoria_park:load",

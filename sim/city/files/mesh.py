@@ -24,6 +24,7 @@ from cellslam.sim.city.materials import ITU_P2040, itu_material, itu_name
 from cellslam.sim.errors import InputError, one_line
 from cellslam.sim.plausible import RANGES
 
+UPRIGHT = 0.5  # height over length from which on a city is taken to lie on its side
 FORMATS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".xml", ".json", ".jsonl", ".osm", ".pbf")
 
 
@@ -150,9 +151,17 @@ def _city(name: str, objects: list[MeshObject], tolerances: Tolerances) -> City:
             parts.append(Part(obj.vertices[used], renumbered.reshape(-1, 3), materials.index(obj.material), int(value)))
     road_m = _foot(corners, building) if footprints and not ground.any() else 0.0
     notes = [] if ground.any() else [f"no ground found: nothing spans the city and faces up; roads at {road_m:g} m"]
-    notes += _assumptions(objects)
+    notes += _assumptions(objects) + _lying(np.ptp(corners, axis=(0, 1)))
     city = assemble(name, parts, materials, footprints, heights, notes=notes, tolerances=tolerances)
     return replace(city, road_m=road_m)
+
+
+def _lying(size_m: Floats) -> list[str]:
+    """Return a note on a city that is about as high as it is long: its upward axis may be another one."""
+    x, y, z = size_m.tolist()
+    if z < UPRIGHT * max(x, y):
+        return []
+    return [f"{z:.0f} m high, and {x:.0f} x {y:.0f} m long: if another axis is up, say so (--up y or z, city.up)"]
 
 
 def _foot(corners: Floats, building: Ints) -> float:

@@ -33,7 +33,6 @@ from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.lte.statistical.measurement_kernel import Fields, write_attitude, write_persisting
 from cellslam.sim.randomness import Stream, stream
-from cellslam.sim.rays.antenna import sector_gain_db
 from cellslam.sim.recording import Floats, Ints
 from cellslam.sim.waveform.waveform import Waveform
 
@@ -165,7 +164,7 @@ class SignalLevel:
         for link in np.flatnonzero(self.links.site == site):
             cell = int(self.links.cell[link])
             off, down = (paths.departure_rad[rows] - [self.cells.azimuth_rad[cell], 0.0]).T
-            sector_db = sector_gain_db(off, down, float(self.cells.tilt_rad[cell]), peak_dbi=0.0)
+            sector_db = config.sector_gain_db(off, down, float(self.cells.tilt_rad[cell]))
             amplitude = 10.0 ** ((config.eirp_dbm + sector_db) / 20.0)
             weights = on_ports[int(self.links.port[link]) % 2]
             own = {int(self.combs[other]) for other in np.flatnonzero(self.links.cell == cell)}

@@ -201,12 +201,13 @@ def _emit(
 
 @njit(cache=True)
 def measure_block(
-    first_snapshot: int, poses: Array, paths: PathColumns, offsets: Array, links: LinkTable, model: Model,
-    fields: Fields, streams: Streams,
+    first_snapshot: int, poses: Array, paths: PathColumns, sector: Array, offsets: Array, links: LinkTable,
+    model: Model, fields: Fields, streams: Streams,
 ) -> Array:  # fmt: skip
     """Return the measurements (M, k.COLUMNS) of `poses` (T, 6), numbered from `first_snapshot`; m and rad.
 
-    `paths` of all (snapshot, site); clock `offsets` (S,) in m.
+    `paths` (P) of all (snapshot, site); `sector` (P, C): relative power gain of each cell's antenna towards them;
+    clock `offsets` (S,) in m.
     """
     rows, budget = paths.rows, model.budget
     sites, count_links = len(offsets), len(links.site)
@@ -232,7 +233,7 @@ def measure_block(
                 for port in range(ports):
                     error = persisting[s, port, i]
                     measurement.write_persisting(geo[s, i], poses[t], vt, port, attitude, fields, error)
-        measurement.link_powers(paths, base, geo, links, budget.eirp_mw, power, cell_power)
+        measurement.link_powers(paths, base, geo, links, sector, budget.eirp_mw, power, cell_power)
         total = 0.0
         for cell in range(len(cell_power)):
             total += cell_power[cell]

@@ -37,8 +37,6 @@ class LinkTable(NamedTuple):
     port: Array
     slant: Array
     cell_site: Array
-    cell_azimuth: Array
-    cell_tilt: Array
     cell_ports: Array
 
 

@@ -41,16 +41,6 @@ class Fields(NamedTuple):
     time_phase: Array
 
 
-@part
-def sector_gain(azimuth: float, elevation: float, cell_azimuth: float, cell_tilt: float) -> float:
-    """Return the relative power gain of a sector antenna (TR 36.814, Table A.2.1.1-2); tilt is downwards."""
-    off = math.degrees(wrap(azimuth - cell_azimuth))
-    down = math.degrees(-elevation - cell_tilt)
-    horizontal = min(12.0 * (off / 70.0) ** 2, 25.0)
-    vertical = min(12.0 * (down / 10.0) ** 2, 20.0)
-    return float(10.0 ** (-0.1 * min(horizontal + vertical, 25.0)))
-
-
 @njit(cache=True)
 def array_gain(elevation: float) -> float:
     """Return the mean power gain of the array's ports: TR 38.901 Table 7.3-1, 16 columns, two slants."""
@@ -67,11 +57,13 @@ def path_power(gain: Array, slant: Array) -> float:
 
 @part
 def link_powers(
-    paths: PathColumns, base: int, geo: Array, links: LinkTable, eirp: float, power: Array, cell_power: Array
-) -> None:
+    paths: PathColumns, base: int, geo: Array, links: LinkTable, sector: Array, eirp: float, power: Array,
+    cell_power: Array,
+) -> None:  # fmt: skip
     """Write `power` (L, W) per link and path in mW, and `cell_power` (C,), the mean over a cell's ports of its total.
 
-    `base`: first row of `paths.rows` of this snapshot; `geo` (S, W, 3) as `body_geometry` writes it.
+    `base`: first row of `paths.rows` of this snapshot; `geo` (S, W, 3) as `body_geometry` writes it; `sector` (P, C):
+    relative power gain of each cell's antenna towards a path.
     """
     for cell in range(len(cell_power)):
         cell_power[cell] = 0.0
@@ -80,9 +72,7 @@ def link_powers(
         first = paths.rows[base + site]
         for i in range(paths.rows[base + site + 1] - first):
             p = first + i
-            away = paths.departure_rad[p]
-            sector = sector_gain(away[0], away[1], links.cell_azimuth[cell], links.cell_tilt[cell])
-            received = path_power(paths.gain[p], links.slant[link]) * sector * array_gain(geo[site, i, 2])
+            received = path_power(paths.gain[p], links.slant[link]) * sector[p, cell] * array_gain(geo[site, i, 2])
             power[link, i] = eirp * received
             cell_power[cell] += power[link, i] / links.cell_ports[cell]
 

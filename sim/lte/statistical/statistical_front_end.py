@@ -21,7 +21,7 @@ from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
 from cellslam.sim.lte.statistical.measurement_kernel import Fields
-from cellslam.sim.lte.statistical.statistics import Statistics, statistics
+from cellslam.sim.lte.statistical.statistics import Statistics, statistics_of
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Measurements
 
@@ -105,7 +105,7 @@ def detect(
     from cellslam.sim.lte.statistical.detection_kernel import measure_block
 
     sites, links = len(offsets_m), link_table(cells)
-    s = constants or statistics(config.statistics_band)
+    s = constants or statistics_of(config)
     world = streams.clutter.bit_generator.seed_seq.generate_state(1, np.uint64)[0]
     model = model_of(config, s)
     model = model._replace(standing=model.standing._replace(world=world))
@@ -116,9 +116,11 @@ def detect(
             rows = paths.rows[start * sites : (start + len(part)) * sites + 1]
             low, high = rows[0], rows[-1]
             own = PathColumns(rows - low, paths.vt_m[low:high], paths.gain[low:high], paths.departure_rad[low:high])
+            away = own.departure_rad[:, :1] - cells.azimuth_rad, own.departure_rad[:, 1:]
+            sector = 10.0 ** (0.1 * config.sector_gain_db(*away, cells.tilt_rad))
             block = measure_block(
-                first_snapshot + start, np.ascontiguousarray(part, np.float64), own, np.asarray(offsets_m, np.float64),
-                links, model, fields, streams,
+                first_snapshot + start, np.ascontiguousarray(part, np.float64), own, sector,
+                np.asarray(offsets_m, np.float64), links, model, fields, streams,
             )  # fmt: skip
             block[:, k.PATH] += np.where(block[:, k.PATH] >= 0, low, 0)
             out.append(block)

@@ -14,6 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from cellslam.sim.data_files import json_of, text_of
+from cellslam.sim.errors import InputError, one_line
+from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.lte.statistical.detector_layout import Standing
 from cellslam.sim.recording import Floats
 
@@ -83,6 +86,27 @@ class Statistics:
 def statistics(band: str = LTE) -> Statistics:
     """Return the constants of a band that are shipped with the package."""
     return parse(json.loads(file_of(band).read_text(encoding="utf-8")))
+
+
+def statistics_of(config: RadioConfig) -> Statistics:
+    """Return the constants that a radio configuration asks for: those of its band, or of a file. Raises InputError."""
+    if config.statistics_file is None:
+        return statistics(config.statistics_band or LTE)
+    try:
+        return _in_file(config.statistics_file, text_of(config.statistics_file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"radio.statistics_file '{config.statistics_file}' cannot be read: {one_line(error)}"
+        ) from error
+
+
+@lru_cache(maxsize=8)
+def _in_file(name: str, text: str) -> Statistics:
+    try:
+        return parse(json_of(text))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        what = f"no '{error.args[0]}'" if isinstance(error, KeyError) else one_line(error)
+        raise InputError(f"{name}: not constants of a detector, as in {file_of()}: {what}") from error
 
 
 def parse(data: dict[str, Any]) -> Statistics:

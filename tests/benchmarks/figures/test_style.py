@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
+from matplotlib.colors import rgb_to_hsv, to_hex, to_rgb
 from matplotlib.figure import Figure
 
-from cellslam.benchmarks.figures.style import BLACK, GREY, colour_of, estimator_styles, save
+from cellslam.benchmarks.figures.style import BLACK, GREY, colour_of, curve_styles, estimator_styles, save
 from cellslam.benchmarks.figures.trial.trial_figures import draw_all
 from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.scenarios.estimator_options import resolve
@@ -28,6 +28,35 @@ def test_an_estimator_has_one_colour_in_every_figure() -> None:
         assert {name: styles[name] for name in names if name in shown} == {n: own[n] for n in names if n in shown}
     assert own["dead-reckoning"]["linestyle"] == "--"
     assert estimator_styles(["theirs:Own"])["theirs:Own"]["color"] == colour_of("theirs:Own")
+
+
+def hue_deg(colour: str) -> float:
+    return 360.0 * float(rgb_to_hsv(to_rgb(colour))[0])
+
+
+def test_no_two_built_in_estimators_have_one_hue() -> None:
+    hues = sorted(hue_deg(colour_of(entry.name)) for entry in registry.BUILT_IN)
+    assert min(np.diff([*hues, hues[0] + 360.0])) > 12.0
+
+
+def test_estimators_of_other_people_have_colour_and_marker_of_their_own() -> None:
+    names = ["fastslam", "mine", "yours", "theirs", "ours"]
+    curves = {name: np.linspace(0.0, k + 1.0, 9) for k, name in enumerate(names)}
+    styles = curve_styles(curves)
+    assert len({styles[name]["color"] for name in names}) == len({styles[n].get("marker") for n in names}) == 5
+    assert all(styles[name]["linestyle"] not in ("-", "--") for name in names[1:])
+    assert styles["mine"]["color"] == colour_of("mine")  # whoever stands beside it
+
+
+def test_curves_that_coincide_are_said_to() -> None:
+    one = np.array([0.0, 1.0, np.nan, 4.0])
+    curves = {"fastslam": one, "ekf-slam": one + 0.01, "bp-slam": one + 0.1, "mine": one, "dead-reckoning": one[:2]}
+    styles = curve_styles(curves)
+    assert styles["fastslam"] == estimator_styles(["fastslam"])["fastslam"]
+    assert styles["ekf-slam"]["label"] == "ekf-slam (coincides with fastslam)"
+    assert styles["mine"]["label"] == "mine (coincides with fastslam)"
+    assert styles["mine"]["linewidth"] > styles["ekf-slam"]["linewidth"] > 1.4  # seen on both sides of the others
+    assert styles["bp-slam"]["label"] == "bp-slam" and styles["dead-reckoning"]["label"] == "dead-reckoning"
 
 
 def test_figures_of_a_trial_keep_to_it(

@@ -22,12 +22,14 @@ from cellslam.benchmarks.report.worst_trials import Choice, worst_trials
 from cellslam.benchmarks.sweeps import tasks
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE
+from cellslam.benchmarks.sweeps.tasks import Job, Task
 from cellslam.cli.main import main
 from cellslam.scenarios import load as load_scenario
 from cellslam.sim import world
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import silent
 from cellslam.sim.rays import trace
+from tests.benchmarks.made_up_sweeps import made_up, plan_of
 from tests.benchmarks.report.browser import CHROMIUM, DRIVER
 from tests.benchmarks.report.browser import browser as started
 from tests.short_drive import SET, SHORT
@@ -185,6 +187,23 @@ def test_without_trajectories_the_rows_are_told(folder: Path, tmp_path: Path) ->
     trial = content(tmp_path, Choice(worst=1), silent)["trials"][0]
     assert trial["estimates"] == [] and len(trial["time"]) == 100 and "No trajectories" in trial["note"]
     assert len(trial["rows"]) == 4 and trial["scene"]["truth"]
+
+
+def test_a_single_drive_is_told_in_one_sentence_and_has_no_distributions(tmp_path: Path) -> None:
+    rmse = {"fastslam": 0.851, "ekf-slam": 0.85, "bp-slam": 1.7, "dead-reckoning": 35.0, "oracle-map": 0.1}
+
+    def row(_: Task, job: Job) -> dict[str, Any]:
+        return {"position_rmse_m": rmse[job.estimator], "distance_m": 35.0}
+
+    for trials in (1, 2):
+        made_up(tmp_path / str(trials), plan_of({}, tuple(rmse), trials), row)
+    one, two = (content(tmp_path / str(trials), Choice(worst=0), silent) for trials in (1, 2))
+    assert one["single"] and one["panels"] is None and one["heading"] == "Drive"
+    expected = (
+        "ekf-slam and fastslam did best: a position RMSE of 0.85 m each, where bp-slam has 1.70 m and the worst, "
+    )
+    assert one["lead"] == f"{expected}dead-reckoning, 35.00 m. One drive says little."
+    assert not two["single"] and two["panels"] and two["lead"] is None and two["heading"] == "Worst trials"
 
 
 TRACES = """

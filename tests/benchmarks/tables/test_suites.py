@@ -74,6 +74,25 @@ def test_accuracy_writes_its_tables_and_resumes(
     assert "1 of them finished already" in capfd.readouterr().err
 
 
+def test_changed_options_are_another_row_and_not_the_result_of_the_suite(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(SUITES, "standard-4", Suite("standard-4", ("canyon",), 530, 1))
+    monkeypatch.setattr(suites, "scenario_of", lambda _, name: load("tiny", {**SET, "name": name}))
+    line = ["bench", "accuracy", "--estimator", "ekf-slam", "--executor", "serial", "--quiet"]
+    line += ["--out", str(tmp_path / "out")]
+    assert main(line) == 0
+    own = capfd.readouterr().out
+    assert "Not the suite's result" not in own
+    assert main([*line, "--set", "estimator.ekf-slam.gate=1.0"]) == 0
+    text = " ".join(capfd.readouterr().out.split())
+    assert "standard-4, with estimator.ekf-slam.gate=1.0" in text
+    assert "Not the suite's result: it takes the options that estimators have themselves." in text
+    assert len(results(tmp_path / "out")) == 2  # beside the suite's own row, not in its place
+    assert main(line) == 0
+    assert capfd.readouterr().out == own
+
+
 @pytest.fixture
 def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The rows of two estimators in a suite of six trials, of one scenario but one: short drives under known names."""
@@ -151,6 +170,11 @@ def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
         (("--write", "/nowhere/x.md"), "there is no folder"),
         (("--trials", "2", "--rows", "x.json"), "--rows is of a whole suite"),
         (("--check", "/nowhere/x.json"), "cannot be read"),
+        (("--set", "radio.load=0.5"), "radio.load: the worlds of a suite are fixed"),
+        (("--set", "estimator.fastslam.lagg=0"), "estimator.fastslam.lagg"),
+        (("--estimator", "ekf-slam", "--set", "estimator.fastslam.lag=0"), "not driven (driven: ekf-slam)"),
+        (("--set", "estimator.fastslam.lag=0", "--rows", "x.json"), "leave out --set"),
+        (("--set", "estimator.fastslam.lag=0", "--check", "x.json"), "leave out --set"),
     ],
 )
 def test_wrong_requests_are_one_line(

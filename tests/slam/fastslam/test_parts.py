@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from cellslam.benchmarks.trials.failures import explained
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Sites
 from cellslam.slam.fastslam import parts
@@ -164,3 +165,31 @@ def test_parts_that_were_never_asked_are_remarked() -> None:
     setup, steps = street(3, seed=1)
     driven(estimator, (replace(setup, sites=Sites(("A",), np.zeros(1), np.full(1, 50.0))), steps))
     assert any("resampling: never asked" in line for line in estimator.remarks())
+
+
+def test_a_part_that_is_never_asked_while_others_are_is_remarked_with_what_it_waited_for() -> None:
+    given = {"association": parts.nearest_neighbour, "resampling": parts.SCHEMES["residual"]}
+    estimator = FastSlam(FastSlamOptions(particles=20, effective_share=0.01, **WHITE), **given)
+    estimator.warm_up()  # what is asked there does not count
+    driven(estimator, street(30, seed=2))
+    (remark,) = [line for line in estimator.remarks() if "never asked" in line]
+    assert remark.startswith("resampling: cellslam.slam.model.resampling:residual was never asked, while others were: ")
+    assert "effective_share" in remark
+    eager = FastSlam(FastSlamOptions(particles=20, effective_share=1.0, **WHITE), **given)
+    driven(eager, street(30, seed=2))
+    assert not [line for line in eager.remarks() if "never asked" in line]
+
+
+def failing(W: Any) -> Any:
+    """A part with a mistake in it."""
+    return W.no_such_attribute
+
+
+def test_an_error_inside_a_part_says_which_part_it_is_and_the_line_of_it() -> None:
+    estimator = FastSlam(FastSlamOptions(particles=20, **WHITE), weight=failing)
+    with pytest.raises(AttributeError) as caught:
+        driven(estimator, street(30, seed=2))
+    line = failing.__code__.co_firstlineno + 2
+    said = explained(caught.value)
+    assert f"in the weight {__name__}:failing" in said
+    assert said.endswith(f"(test_parts.py, line {line}, in failing)")

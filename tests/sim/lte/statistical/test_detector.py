@@ -16,10 +16,8 @@ from cellslam.sim.lte.persisting_errors import draw_fields, floors
 from cellslam.sim.lte.signal.drive_in_blocks import snapshot_paths
 from cellslam.sim.lte.statistical.clutter_kernel import BLUR_AZIMUTH_RAD, STRETCH
 from cellslam.sim.lte.statistical.detector_layout import GAMMA_START_DB, GAMMA_STEP_DB, PathColumns, Streams
-from cellslam.sim.lte.statistical.measurement_kernel import sector_gain
 from cellslam.sim.lte.statistical.statistical_front_end import Detections, detect, noise_clutter_mean
 from cellslam.sim.lte.statistical.statistics import BLUR_M, statistics
-from cellslam.sim.rays.antenna import sector_gain_db
 
 FALSE_ALARM = 1e-6
 WHITE = {k: 0.0 for k in RadioConfig.model_fields if "_correlation_" in k}
@@ -86,6 +84,15 @@ def test_snr_by_hand(
 ) -> None:
     d = run(quiet(**keys), np.array(vts), np.full(len(vts), amplitude), 1, cells=make_cells(*azimuths_deg))
     np.testing.assert_allclose(d.measurements.snr_db, snr_db, atol=0.01)
+
+
+def test_a_cell_is_received_by_the_angle_off_its_boresight() -> None:
+    # A path departs at 1 rad: along the first cell's boresight, 57.3 degrees off the second's, 97.3 off the third's.
+    paths, cells = make_paths(np.array([[100.0, 0.0, 0.0]]), np.array([1e-6]), 1, 1.0), make_cells(57.2958, 0.0, -40.0)
+    streams = Streams.spawn(np.random.default_rng(1))
+    d = detect(quiet(snr_cap_db=60.0), cells, paths, np.zeros((1, 6)), np.zeros(1), FIELDS, streams)
+    loss_db = np.array([0.0, 12.0 * (57.2958 / 70.0) ** 2, 12.0 * (97.2958 / 70.0) ** 2])
+    np.testing.assert_allclose(d.measurements.snr_db, 30.0 - 120.0 - 2.16 + 123.0 - loss_db, atol=0.01)
 
 
 def test_ports_are_slanted() -> None:
@@ -249,14 +256,6 @@ def test_a_cell_id_given_twice_is_refused() -> None:
     cell = SimpleNamespace(cell_id=7, azimuth_deg=0.0, tilt_deg=0.0)
     with pytest.raises(InputError, match="cell ID 7 is given twice"):
         cells_of([SimpleNamespace(cells=[cell], ports=1), SimpleNamespace(cells=[cell], ports=1)])
-
-
-def test_compiled_sector_pattern_is_that_of_the_antenna_module() -> None:
-    rng = np.random.default_rng(3)
-    azimuth, elevation = rng.uniform(-7.0, 7.0, 300), rng.uniform(-0.8, 0.4, 300)
-    compiled = [sector_gain(a, e, 1.0, 0.14) for a, e in zip(azimuth, elevation, strict=True)]
-    expected = sector_gain_db(azimuth - 1.0, elevation, 0.14, peak_dbi=0.0)
-    np.testing.assert_allclose(10.0 * np.log10(compiled), expected, atol=1e-9)
 
 
 def test_clutter_is_interpolated_between_the_ratios_measured() -> None:
