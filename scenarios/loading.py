@@ -15,6 +15,7 @@ from cellslam.scenarios.overrides import apply
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.data_files import text_of, toml_of
 from cellslam.sim.errors import InputError, unknown_name
+from cellslam.sim.lte.statistical.statistics import statistics_of
 from cellslam.sim.own_code import is_loaded
 
 
@@ -34,8 +35,8 @@ def from_tables(
 ) -> Scenario:
     """Return the scenario of plain tables, with `overrides`; `source` stands before messages about `data`.
 
-    In another band than LTE's 20 MHz, estimators assume what its data sheet says, unless the tables do. `code` False: a
-    waveform of one's own is not loaded for that.
+    In another band than LTE's 20 MHz, estimators assume what its data sheet says, unless the tables do. `code` False:
+    for that no waveform of one's own is loaded, and no file of constants read.
     """
     if source:
         try:
@@ -43,9 +44,12 @@ def from_tables(
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
     scenario = validate(Scenario, apply(data, overrides or {}), suggest=option_keys)
-    if not (code or is_loaded(scenario.radio.technology)):
+    radio = scenario.radio
+    if not code and (radio.statistics_file or not is_loaded(radio.technology)):
         return scenario
-    tables = stated(scenario.radio, scenario.estimator)
+    if radio.statistics_file:
+        statistics_of(radio, asked=True)
+    tables = stated(radio, scenario.estimator)
     return scenario if tables is scenario.estimator else scenario.model_copy(update={"estimator": tables})
 
 

@@ -28,10 +28,10 @@ DRIVES = 16  # that are simulated where no number is asked for
 
 
 class LocalizationVectorEnv(VectorEnv[Any, Any, Any]):
-    """`num_envs` episodes of `cellslam/Localization-v0` at once, each over a drive drawn anew from the same drives.
+    """`num_envs` episodes of `cellslam/Localization-v0` at once, each over a drive drawn from the same drives.
 
     Observations (N, 19 + 16 max_paths) are those of `LocalizationEnv`, flat as `FlattenObservation` makes them, in 32
-    bits; actions (N, 6), rewards, and `info` are its own, with a row an episode. An episode that has ended begins anew
+    bits; actions (N, 6), rewards, and `info` are its own, with a row an episode. An episode that has ended begins again
     in the next step, whose action it does not see and whose reward is 0. Drives: trial 0 of seeds 0 to `drives` - 1 in
     a scenario, as the single environment's with `drives`; or the first `drives` (None: all) of a split of the set in
     `folder`. `copy`: observations are the caller's own; without it the next step writes over them. Raises InputError.

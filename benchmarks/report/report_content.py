@@ -154,8 +154,8 @@ def _curves(data: SweepData) -> list[dict[str, Any]]:
         lines, named = [], sweep_lines(data, key)
         styles = estimator_styles(named)
         for name, points in named.items():
-            look = {"colour": styles[name]["color"], "dash": DASHES[styles[name]["linestyle"]]}
-            line: dict[str, Any] = {"name": name, **look, "metrics": {}}
+            style = {"colour": styles[name]["color"], "dash": DASHES[styles[name]["linestyle"]]}
+            line: dict[str, Any] = {"name": name, **style, "metrics": {}}
             for metric, known in PLOTTED.items():
                 found = [(x, one.values(metric)) for x, one in points if not isinstance(x, str)]
                 found = [(x, values) for x, values in found if len(values)]

@@ -55,8 +55,8 @@ class SetDefinition:
     def digest(self) -> str:
         """SHA-256 of what the drives follow from: all that is not a default, how many there are, and their seeds."""
         world = self.scenario.world.model_dump(mode="json", exclude_defaults=True)
-        said = [self.name, world, dict(self.drives), dict(self.seeds)]
-        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+        content = [self.name, world, dict(self.drives), dict(self.seeds)]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _set(

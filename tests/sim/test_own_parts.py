@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import cellslam
+from cellslam.benchmarks.bound.cramer_rao import bound
 from cellslam.benchmarks.trials.failures import explained
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError
@@ -89,7 +90,7 @@ def test_what_a_recording_names_is_not_loaded(monkeypatch: pytest.MonkeyPatch) -
     assert Origin.of(odd).scenario is None
 
 
-def test_constants_of_the_detector_come_from_a_file() -> None:
+def test_constants_of_the_detector_come_from_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
     constants = json.loads(file_of().read_text())
     constants["detection"]["gain"] = 1e-6
     Path("deaf.json").write_text(json.dumps(constants))
@@ -97,9 +98,14 @@ def test_constants_of_the_detector_come_from_a_file() -> None:
     plain = cellslam.simulate("tiny", overrides=SET)
     assert deaf.truth is not None and plain.truth is not None
     assert (deaf.truth.measurement_vt >= 0).sum() < 0.5 * (plain.truth.measurement_vt >= 0).sum()
-    for text, said in (("{}", "not constants of a detector"), ("[", "not constants"), ("[]", "not constants")):
+    assert bound(deaf).position_rmse_m > bound(plain).position_rmse_m
+    monkeypatch.setattr("cellslam.sim.lte.statistical.statistics._READ", set())
+    assert Origin.of(deaf).scenario is not None
+    with pytest.raises(InputError, match="not read unasked"):
+        bound(deaf)
+    for text, message in (("{}", "not constants of a detector"), ("[", "not constants"), ("[]", "not constants")):
         Path("deaf.json").write_text(text)
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             cellslam.simulate("tiny", overrides={**SET, "radio.statistics_file": "deaf.json"})
     with pytest.raises(InputError, match="cannot be read"):
         cellslam.simulate("tiny", overrides={**SET, "radio.statistics_file": "nowhere.json"})

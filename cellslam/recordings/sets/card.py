@@ -56,7 +56,7 @@ def card(one: SetDefinition, index: bytes, rows: Sequence[Row], size: int, versi
         f"{one.name}' with {made}. The drives of the split test have no truth: {TRUTH} has it, and the SHA-256 of its "
         f"digests, a line each, is {hashlib.sha256(truths.encode()).hexdigest()}."
     )
-    said = {
+    card = {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
         "conformsTo": "http://mlcommons.org/croissant/1.0",
@@ -89,4 +89,4 @@ def card(one: SetDefinition, index: bytes, rows: Sequence[Row], size: int, versi
             } for name, (meaning, kind) in FIELDS.items()],
         }],
     }  # fmt: skip
-    return json.dumps(said, indent=1).encode()
+    return json.dumps(card, indent=1).encode()

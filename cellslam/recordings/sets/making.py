@@ -82,10 +82,10 @@ def check(folder: Path) -> Iterator[Row]:
     rows = index_of(folder)
     index = (folder / INDEX).read_bytes()
     try:
-        said = json_of(text_of(folder / CARD))["distribution"][0]["sha256"]
+        expected = json_of(text_of(folder / CARD))["distribution"][0]["sha256"]
     except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
         raise InputError(f"{folder / CARD}: missing or damaged; 'cellslam dataset make' makes it again") from error
-    if hashlib.sha256(index).hexdigest() != said:
+    if hashlib.sha256(index).hexdigest() != expected:
         raise InputError(f"{folder / INDEX}: is not the index of the card; 'cellslam dataset make' makes both again")
     for row in rows:
         path = folder / row.file

@@ -105,7 +105,7 @@ def detect(
     from cellslam.sim.lte.statistical.detection_kernel import measure_block
 
     sites, links = len(offsets_m), link_table(cells)
-    s = constants or statistics_of(config)
+    s = constants or statistics_of(config, asked=True)
     world = streams.clutter.bit_generator.seed_seq.generate_state(1, np.uint64)[0]
     model = model_of(config, s)
     model = model._replace(standing=model.standing._replace(world=world))

@@ -88,10 +88,21 @@ def statistics(band: str = LTE) -> Statistics:
     return parse(json.loads(file_of(band).read_text(encoding="utf-8")))
 
 
-def statistics_of(config: RadioConfig) -> Statistics:
-    """Return the constants that a radio configuration asks for: those of its band, or of a file. Raises InputError."""
+_READ: set[str] = set()  # files of constants that the user asked this process for
+
+
+def statistics_of(config: RadioConfig, asked: bool = False) -> Statistics:
+    """Return the constants that a radio configuration asks for: those of its band, or of a file.
+
+    `asked`: the user gave the configuration. One that a recording holds may name any file of this machine: only what
+    the user has asked for before is read. Raises InputError.
+    """
     if config.statistics_file is None:
         return statistics(config.statistics_band or LTE)
+    if asked:
+        _READ.add(config.statistics_file)
+    if config.statistics_file not in _READ:
+        raise InputError(f"a recording names the file {config.statistics_file}, which is not read unasked")
     try:
         return _in_file(config.statistics_file, text_of(config.statistics_file))
     except (OSError, UnicodeDecodeError) as error:

@@ -205,18 +205,18 @@ def test_many_episodes_at_once_are_the_single_ones() -> None:
     for _ in range(2):
         assert over.all()
         for k, one in enumerate(singles):
-            expected, said = one.reset(options={"seed": int(many._drive[k])})
+            expected, single = one.reset(options={"seed": int(many._drive[k])})
             np.testing.assert_allclose(seen[k], expected, rtol=1e-6)
-            np.testing.assert_array_equal(info["truth_pose"][k], said["truth_pose"])
+            np.testing.assert_array_equal(info["truth_pose"][k], single["truth_pose"])
         drives.update(many._drive)
         for _ in range(400):
             action = rng.normal(size=(3, 6)).astype(np.float32)
             seen, reward, over, cut, info = many.step(action)
             for k, one in enumerate(singles):
-                expected, value, ended, _, said = one.step(action[k])
+                expected, value, ended, _, single = one.step(action[k])
                 if not ended:
                     np.testing.assert_allclose(seen[k], expected, rtol=2e-5, atol=1e-6)
-                np.testing.assert_allclose(info["belief_pose"][k], said["belief_pose"], atol=1e-3)
+                np.testing.assert_allclose(info["belief_pose"][k], single["belief_pose"], atol=1e-3)
                 assert (reward[k], over[k]) == (pytest.approx(value, abs=1e-3), ended)
             if over.any():
                 break

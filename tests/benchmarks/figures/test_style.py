@@ -45,7 +45,7 @@ def test_estimators_of_other_people_have_colour_and_marker_of_their_own() -> Non
     styles = curve_styles(curves)
     assert len({styles[name]["color"] for name in names}) == len({styles[n].get("marker") for n in names}) == 5
     assert all(styles[name]["linestyle"] not in ("-", "--") for name in names[1:])
-    assert styles["mine"]["color"] == colour_of("mine")  # whoever stands beside it
+    assert styles["mine"]["color"] == colour_of("mine")  # whatever else is drawn
 
 
 def test_curves_that_coincide_are_said_to() -> None:

@@ -190,6 +190,6 @@ def test_an_error_inside_a_part_says_which_part_it_is_and_the_line_of_it() -> No
     with pytest.raises(AttributeError) as caught:
         driven(estimator, street(30, seed=2))
     line = failing.__code__.co_firstlineno + 2
-    said = explained(caught.value)
-    assert f"in the weight {__name__}:failing" in said
-    assert said.endswith(f"(test_parts.py, line {line}, in failing)")
+    message = explained(caught.value)
+    assert f"in the weight {__name__}:failing" in message
+    assert message.endswith(f"(test_parts.py, line {line}, in failing)")

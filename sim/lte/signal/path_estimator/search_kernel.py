@@ -109,7 +109,7 @@ def write_energies(
 
 @part
 def write_energies_around(k: int, d: int, on_beams: Array, taken: Footprint, spectrum: PowerSpectrum) -> None:
-    """Write the energies that `local_level` looks at, of direction k and bin d."""
+    """Write the energies that `local_level` reads, of direction k and bin d."""
     beyond = thresholds.GUARD_BINS + 2 * thresholds.REFERENCE_BINS
     first, last = max(d - beyond, 0), min(d + beyond + 1, spectrum.energy.shape[1])
     write_energies(on_beams, taken, neighbours(k, spectrum), first, last, spectrum)
