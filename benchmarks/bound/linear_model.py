@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.benchmarks.bound.persisting_states import Seen, persisting_errors
-from cellslam.benchmarks.bound.products_kernel import Sparse
+from cellslam.benchmarks.bound.recursion_kernel import Components, Sparse
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import held, integrate_pose, mean_velocity, pose_jacobians, wrap_angle
 from cellslam.sim.recording import Floats, Ints, OdometryModel, Recording, Sites, Truth
@@ -71,7 +71,7 @@ class Views:
 
     @cached_property
     def rows(self) -> Sparse:
-        """The loads as a sparse matrix, a row for each component of each view, a column for each state."""
+        """The loads as a sparse matrix, a row for each component of each view."""
         there = self.state >= 0
         begin = np.concatenate([[0], np.cumsum(there.sum(axis=2).ravel())])
         return Sparse(begin, self.state[there], self.load[there])
@@ -99,6 +99,13 @@ class Sightings(NamedTuple):
     state: Ints
     load: Floats
 
+    def components(self, chosen: Flags) -> Components:
+        """Return the `chosen` (m, 3) components, in their order."""
+        row = 3 * self.view_of[:, None] + np.arange(3)
+        load, std = np.broadcast_to(self.load, chosen.shape), np.sqrt(self.variance[chosen])
+        begin = np.concatenate([[0], np.cumsum(chosen.sum(axis=1))])[self.rows]
+        return Components(begin, row[chosen], self.state[chosen], load[chosen], std, self.residual[chosen])
+
 
 class Survey(NamedTuple):
     """What a survey knows of n coordinates of VTs: `state` (n,) their numbers, `variance` (n,) in m^2, and `error` (n,)
@@ -118,10 +125,6 @@ class States(NamedTuple):
     last: Ints
     kind: Ints
     decay: Floats
-
-    def entering(self, t: int) -> Ints:
-        """Return the errors that persist that snapshot t meets first."""
-        return np.flatnonzero(self.first == t)
 
 
 class Drive(NamedTuple):

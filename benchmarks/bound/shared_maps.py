@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cellslam.benchmarks.bound.cramer_rao import NOTHING, BoundResult, recursion
+from cellslam.benchmarks.bound.cramer_rao import BoundResult, Joint, recursion
 from cellslam.benchmarks.bound.linear_model import linear_model
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Recording
@@ -29,12 +29,12 @@ def shared_map_bounds(recordings: Sequence[Recording], calibrated: bool = False)
     # A VT is the same in all drives where site and facets are.
     names = [np.column_stack([r.truth.vts.site, r.truth.vts.facets]) for r in recordings if r.truth is not None]
     every, number = np.unique(np.concatenate(names), axis=0, return_inverse=True)
-    numbers, known = np.split(number, np.cumsum([len(own) for own in names])[:-1]), NOTHING
+    numbers, known = np.split(number, np.cumsum([len(own) for own in names])[:-1]), Joint(0)
     for recording, own in zip(recordings, numbers, strict=True):
         with threadpool_limits(1):
             core, drive = linear_model(recording, calibrated, number=own, numbers=len(every))
             s = drive.sightings
-            s = s._replace(first=s.first & ~np.isin(s.vt, known.states))
+            s = s._replace(first=s.first & ~np.isin(s.vt, known.there))
             result, known = recursion(core, drive._replace(sightings=s), known)
         yield result
 
