@@ -129,8 +129,8 @@ class Joint:
 
     def _make_room(self, size: int) -> None:
         more = size - len(self.m)
-        self.m, self.scale, self.states = (np.pad(x, (0, more)) for x in (self.m, self.scale, self.states))
-        self.P = np.pad(self.P, (0, more))
+        self.P, self.states = np.pad(self.P, (0, more)), np.pad(self.states, (0, more))
+        self.m, self.scale = np.pad(self.m, (0, more)), np.pad(self.scale, (0, more))
 
 
 def bound(
