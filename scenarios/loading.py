@@ -15,7 +15,7 @@ from cellslam.scenarios.overrides import apply
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.data_files import text_of, toml_of
 from cellslam.sim.errors import InputError, unknown_name
-from cellslam.sim.lte.statistical.statistics import statistics_of
+from cellslam.sim.lte.statistical.statistics import with_digest
 from cellslam.sim.own_code import is_loaded
 
 
@@ -47,10 +47,7 @@ def from_tables(
     radio = scenario.radio
     if not code and (radio.statistics_file or not is_loaded(radio.technology)):
         return scenario
-    if radio.statistics_file:
-        statistics_of(radio, asked=True)
-    tables = stated(radio, scenario.estimator)
-    return scenario if tables is scenario.estimator else scenario.model_copy(update={"estimator": tables})
+    return scenario.model_copy(update={"radio": with_digest(radio), "estimator": stated(radio, scenario.estimator)})
 
 
 @cache

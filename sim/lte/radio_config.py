@@ -61,11 +61,17 @@ class RadioConfig(BaseModel):
     prs_comb: int = Field(12, ge=2, le=12, description="nr: a port sends on every so many-th subcarrier of a symbol")
     prs_symbols: int = Field(12, ge=2, le=12, description="nr: symbols of a slot in which a port sends")
 
-    # At their defaults these three are left out, so that a world is called what it was before there were any.
+    # At their defaults these four are left out, so that a world is called what it was before there were any.
     statistics_file: str | None = Field(
         None,
         exclude_if=lambda file: file is None,
         description="JSON file with the constants of the statistical detector (not given: those measured in the band)",
+    )
+    statistics_digest: str = Field(
+        "",
+        pattern="^([0-9a-f]{16})?$",
+        exclude_if=lambda digest: not digest,
+        description="first digits of that file's SHA-256: filled in when a scenario is loaded, then it is compared",
     )
     antenna_pattern: str = Field(
         SECTOR,

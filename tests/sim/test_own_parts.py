@@ -11,7 +11,9 @@ import pytest
 
 import cellslam
 from cellslam.benchmarks.bound.cramer_rao import bound
+from cellslam.benchmarks.sweeps.tasks import world_json
 from cellslam.benchmarks.trials.failures import explained
+from cellslam.scenarios.loading import from_tables
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte.radio_config import RadioConfig
@@ -109,6 +111,28 @@ def test_constants_of_the_detector_come_from_a_file(monkeypatch: pytest.MonkeyPa
             cellslam.simulate("tiny", overrides={**SET, "radio.statistics_file": "deaf.json"})
     with pytest.raises(InputError, match="cannot be read"):
         cellslam.simulate("tiny", overrides={**SET, "radio.statistics_file": "nowhere.json"})
+
+
+def test_another_content_of_the_file_of_constants_is_another_scenario(monkeypatch: pytest.MonkeyPatch) -> None:
+    file, overrides = Path("mine.json"), {**SET, "radio.statistics_file": "mine.json"}
+    file.write_text(file_of().read_text())
+    first, recording = cellslam.load("tiny", overrides), cellslam.simulate("tiny", overrides=overrides)
+    assert world_json(cellslam.load("tiny", overrides)) == world_json(first)
+    file.write_text(file_of().read_text() + " ")
+    assert world_json(cellslam.load("tiny", overrides)) != world_json(first)
+    for again in (
+        lambda: from_tables(first.resolved),
+        lambda: cellslam.simulate(first, trial=1),
+        lambda: bound(recording),
+    ):
+        with pytest.raises(InputError, match=r"has another content \(\w+\) than when the scenario was stored"):
+            again()
+    taken = from_tables(first.resolved, {"radio.statistics_digest": ""})
+    assert taken.world == cellslam.load("tiny", overrides).world
+    monkeypatch.setattr("cellslam.sim.lte.statistical.statistics._READ", set())
+    file.unlink()  # what a recording names is not opened
+    origin = Origin.of(recording)
+    assert origin.scenario is not None and origin.scenario.world == first.world
 
 
 def test_both_front_ends_ask_for_the_pattern() -> None:

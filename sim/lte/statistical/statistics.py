@@ -6,6 +6,7 @@ Source: measured; how, studies/front-end-calibration.md.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass
 from functools import lru_cache
@@ -103,12 +104,33 @@ def statistics_of(config: RadioConfig, asked: bool = False) -> Statistics:
         _READ.add(config.statistics_file)
     if config.statistics_file not in _READ:
         raise InputError(f"a recording names the file {config.statistics_file}, which is not read unasked")
-    try:
-        return _in_file(config.statistics_file, text_of(config.statistics_file))
-    except (OSError, UnicodeDecodeError) as error:
+    text, expected = _text_of(config.statistics_file), config.statistics_digest
+    if expected not in ("", _digest(text)):
         raise InputError(
-            f"radio.statistics_file '{config.statistics_file}' cannot be read: {one_line(error)}"
-        ) from error
+            f"radio.statistics_file '{config.statistics_file}' has another content ({_digest(text)}) than when the "
+            f"scenario was stored ({expected}); --set radio.statistics_digest= takes the file as it is"
+        )
+    return _in_file(config.statistics_file, text)
+
+
+def with_digest(config: RadioConfig) -> RadioConfig:
+    """Return a configuration that the user gave with the digest of the file of constants that it names, so that
+    another content is another scenario. Raises InputError."""
+    if config.statistics_file is None:
+        return config
+    statistics_of(config, asked=True)
+    return config.model_copy(update={"statistics_digest": _digest(_text_of(config.statistics_file))})
+
+
+def _text_of(file: str) -> str:
+    try:
+        return text_of(file)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"radio.statistics_file '{file}' cannot be read: {one_line(error)}") from error
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 @lru_cache(maxsize=8)
