@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cellslam.scenarios.sets import INDEX, SPLITS, TRUTH
 from cellslam.sim.data_files import text_of
-from cellslam.sim.errors import InputError, unknown_name
+from cellslam.sim.errors import InputError, one_line, unknown_name
 from cellslam.sim.recording.packing import SNAPSHOT, Packed, mapped
 
 KEPT = 4096  # drives that stay mapped
@@ -117,5 +117,8 @@ def _drive(path: Path, row: Row) -> Drive:
 
 
 def _row(values: dict[str, Any]) -> Row:
+    place = Path(values["file"])
+    if place.is_absolute() or ".." in place.parts:
+        raise ValueError(f"it names the file {one_line(place)}, outside of the folder of the set")
     counts = {name: int(values[name]) for name in ("trial", "snapshots", "measurements", "most_paths")}
     return Row(**{name: values[name] for name in COLUMNS} | counts)

@@ -14,7 +14,7 @@ import cellslam
 from cellslam.cli.main import main
 from cellslam.recordings.sets.making import check, finish, make
 from cellslam.scenarios.sets import CARD, INDEX, SETS, TRUTH
-from cellslam.scenarios.sets.reading import drives_of, index_of
+from cellslam.scenarios.sets.reading import COLUMNS, drives_of, index_of
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 
@@ -59,6 +59,14 @@ def test_a_set_is_as_it_was_made_or_is_refused(whole: Path, tmp_path: Path) -> N
     drive.write_bytes(drive.read_bytes()[:-1])
     with pytest.raises(InputError, match="damaged"):
         drives_of(tmp_path)[1].rows  # noqa: B018
+
+
+@pytest.mark.parametrize("elsewhere", ["../x.h5", "/x.h5", "train/../../x.h5"])
+def test_an_index_names_files_of_its_folder_alone(tmp_path: Path, elsewhere: str) -> None:
+    (tmp_path / INDEX).write_text(f"{','.join(COLUMNS)}\n{elsewhere},train,0,1,1,1,0,\n")
+    for read in (lambda: list(check(tmp_path)), lambda: drives_of(tmp_path)):
+        with pytest.raises(InputError, match=rf"index\.csv: damaged \(it names the file {elsewhere}, outside"):
+            read()
 
 
 def test_a_drive_of_another_set_is_refused(whole: Path) -> None:
