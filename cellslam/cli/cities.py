@@ -5,18 +5,25 @@ from __future__ import annotations
 import re
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cellslam.cli.output import note
 from cellslam.scenarios.keys import validate
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.sim.city import City, MeshCityConfig, build_city
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays.paths import Floats
 
+if TYPE_CHECKING:
+    from cellslam.sim.vehicle.route import Route
+    from cellslam.sim.world import WorldConfig
+
 COLUMNS, VELOCITIES = ("x", "y", "z"), ("vx", "vy", "vz")
 MESH_HELP = "mesh, CityJSON, OpenStreetMap or Mitsuba file, sionna-rt:NAME, a preset's name, or a scenario's .toml"
+STREET_M, OFF_STREETS = 15.0, 0.05  # so far from its middle one is on no street; of a route this share is remarked on
+SHIPPED = "sionna-rt:"  # cities of that package
 MESH_OPTIONS = ("material", "up", "plane_tolerance_m", "angle_tolerance_deg")
 
 
@@ -51,6 +58,32 @@ def find_city(name: str, **options: Any) -> City:
         scenario = load(name, code=False)
         return build_city(scenario.city, city_rng(scenario.world, 0, 0))
     return build_city(validate(MeshCityConfig, {"path": name, **given}), np.random.default_rng(0))
+
+
+def note_oddities(arguments: Namespace, city: City, route: Route) -> None:
+    """Say on stderr, unless --quiet, what was odd about a city's file, and a route of which a part is on no street."""
+    import shapely
+
+    for remark in city.notes:
+        note(arguments, f"note: {remark}")
+    if city.streets:
+        away = shapely.distance(shapely.points(route.points_m), shapely.MultiLineString(list(city.streets))) > STREET_M
+        if (share := float(away.mean())) > OFF_STREETS:
+            x, y = route.points_m[int(np.argmax(away))]
+            where = f"more than {STREET_M:g} m from every street, first at ({x:.0f}, {y:.0f})"
+            note(arguments, f"note: {100 * share:.0f} % of the route are {where}: is it of this city?")
+
+
+def note_own_city(arguments: Namespace, world: WorldConfig, seed: int = 0, trial: int = 0) -> None:
+    """Say on stderr, unless --quiet, what is odd about a city of the user's own and the route in it.
+
+    Where a scenario has no file of a city none is built. Raises InputError where there is no such city or route.
+    """
+    from cellslam.sim.world import city_and_route
+
+    if world.city.kind == "mesh" and not world.city.path.startswith(SHIPPED):
+        scene, route = city_and_route(world, seed, trial)
+        note_oddities(arguments, scene.city, route)
 
 
 def take_positions(parser: ArgumentParser) -> None:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from cellslam.sim.rays import Paths, Scene
     from cellslam.sim.traffic import Blocked, Traffic
     from cellslam.sim.vehicle import Drive, Odometry
+    from cellslam.sim.vehicle.route import Route
 
 KEPT_SCENES = 2
 
@@ -218,14 +219,12 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
     """
     from cellslam.sim.lte.sites import place_sites
     from cellslam.sim.traffic import draw_traffic
-    from cellslam.sim.vehicle import drive, plan_route
+    from cellslam.sim.vehicle import drive
 
     with progress("preparing the world", 5) as advance:
         where = trial if place is None else place
-        scene = _scene(config.city.model_dump_json(), *_city_root(config, seed, where))
-        advance(1)
-        route = plan_route(scene.city, config.vehicle, stream(seed, where, Stream.ROUTE))
-        advance(1)
+        scene, route = city_and_route(config, seed, where)
+        advance(2)
         sites_m = place_sites(scene.city, route, config.sites, stream(seed, where, Stream.SITES))
         advance(1)
         driven = drive(route, config.vehicle, stream(seed, trial, Stream.VEHICLE))
@@ -235,6 +234,14 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
         advance(1)
     reception = draw_reception(config, seed, trial, sites_m, driven, place)
     return World(**vars(reception), scene=scene, traffic=traffic)
+
+
+def city_and_route(config: WorldConfig, seed: int, trial: int) -> tuple[Scene, Route]:
+    """Return the city of a trial, prepared for tracing, and the route through it. Raises InputError."""
+    from cellslam.sim.vehicle import plan_route
+
+    scene = _scene(config.city.model_dump_json(), *_city_root(config, seed, trial))
+    return scene, plan_route(scene.city, config.vehicle, stream(seed, trial, Stream.ROUTE))
 
 
 def draw_reception(

@@ -87,7 +87,20 @@ def test_a_route_beside_the_streets_is_noted(cellslam: Run) -> None:
     Path("field.gpx").write_text(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>")
     done = cellslam("init", ALONG[0], "--route", "field.gpx", "--out", "field.toml", "--no-figures")
     assert done.status == 0, done.err
-    assert "of the route are more than 15 m from every street, first at (" in done.err
+    beside = "of the route are more than 15 m from every street, first at ("
+    assert beside in done.err and beside in cellslam("record", "field.toml", "--out", "field.h5").err
+
+
+def test_an_own_city_is_noted_where_it_is_used(cellslam: Run) -> None:
+    assert cellslam("init", *ALONG, "--out", "field.toml", "--no-figures").status == 0
+    assert "note: origin at longitude" in cellslam("show", "field.toml").err
+    assert not cellslam("show", "field.toml", "--quiet").err
+    text, old = Path("field.toml").read_text(), load("field.toml").vehicle.waypoints_m
+    assert old is not None
+    Path("wall.toml").write_text(text.replace(str(old[-1][1]), f"{old[-1][1] - 25.0:g}"))
+    done = cellslam("show", "wall.toml")
+    assert done.status == 0 and "note: the route runs through a wall of building" in done.err
+    refused(cellslam("run", "wall.toml"), "the route runs through a wall of building")
 
 
 def test_route_and_sites_of_files(cellslam: Run, village: City) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import numpy as np
 
 from cellslam.benchmarks.trials.output_files import check_file, write_text
 from cellslam.cli.arguments import add, number
-from cellslam.cli.cities import MESH_OPTIONS, add_mesh, city_of
+from cellslam.cli.cities import MESH_OPTIONS, add_mesh, city_of, note_oddities
 from cellslam.cli.output import note
 from cellslam.progress_bars import bars
 from cellslam.scenarios.loading import from_tables, load, preset_names
@@ -40,7 +40,6 @@ STOP_EVERY_M, STOP_S, STAND_FIRST_S, SPEED_MPS = 150.0, 8.0, 3.0, 1.1
 DISTANCE_M, DRAWS = 300.0, 20
 STRAIGHT_M = 0.5  # corners of a route from a file are as few as keep this close to it
 SHOWN_EVERY_M = 4.0
-STREET_M, OFF_STREETS = 15.0, 0.05  # so far from its middle one is on no street; of a route this share is remarked on
 SITES = ("A", "B")
 _NUMBERS = re.compile(r"\[((?:\s*-?[\d.]+,)+)\s*\]")  # TOML's writer gives each a line
 TEXT = """\
@@ -78,8 +77,8 @@ def command(arguments: Namespace) -> None:
         raise InputError(f"--out {out}: is there already; give another name")
     with bars(arguments.quiet) as progress, progress("drawing route and sites", 3) as advance:
         city = city_of(arguments)
-        given = city.streets
-        if not given:
+        given = city
+        if not city.streets:
             city = replace(city, streets=tuple(ways_between(city.footprints)))
         advance(1)
         rng = np.random.default_rng(arguments.seed)
@@ -93,8 +92,7 @@ def command(arguments: Namespace) -> None:
     if not arguments.no_figures:
         written.append(out.with_suffix(".png"))
         _draw(written[-1], city, route, np.array([site["position_m"] for site in sites]))
-    for remark in (*city.notes, *_off_streets(route, given)):
-        note(arguments, f"note: {remark}")
+    note_oddities(arguments, given, route)
     note(arguments, f"wrote {', '.join(map(str, written))}; drive in it: cellslam run {out}")
 
 
@@ -128,18 +126,6 @@ def _drive(arguments: Namespace, city: City, rng: np.random.Generator) -> tuple[
         except InputError as error:  # a corner as tight as can be, which written in centimetres is too tight
             problem = error
     raise problem
-
-
-def _off_streets(route: Route, streets: Sequence[Floats]) -> Iterator[str]:
-    """Yield a remark on a route of which a part is on none of a file's streets."""
-    import shapely
-
-    if streets:
-        away = shapely.distance(shapely.points(route.points_m), shapely.MultiLineString(list(streets))) > STREET_M
-        if (share := float(away.mean())) > OFF_STREETS:
-            x, y = route.points_m[int(np.argmax(away))]
-            where = f"more than {STREET_M:g} m from every street, first at ({x:.0f}, {y:.0f})"
-            yield f"{100 * share:.0f} % of the route are {where}: is it of this city?"
 
 
 def _vehicle_table(corners_m: Floats, distance_m: float) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.output_files import check_file, check_folder
 from cellslam.cli.arguments import FLAG, add, whole
+from cellslam.cli.cities import note_own_city
 from cellslam.cli.output import note, note_long, size_of
 from cellslam.progress_bars import bars
 from cellslam.scenarios.estimator_options import resolve
@@ -54,6 +55,7 @@ def command(arguments: Namespace) -> None:
     else:
         check_file(out)
     note_long(arguments, scenario.city, scenario.vehicle)
+    note_own_city(arguments, scenario, arguments.seed, arguments.trial)
     with bars(arguments.quiet) as progress:
         for trial in range(arguments.trials) if many else (arguments.trial,):
             path = out / f"{scenario.name}-{arguments.seed}-{trial:04}.h5" if many else out

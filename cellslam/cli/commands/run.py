@@ -15,6 +15,7 @@ from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, Trial, check_counts, simulated_trials
 from cellslam.cli.arguments import ESTIMATION, add, limits, whole
 from cellslam.cli.between_drives import check_map, with_calibration, with_map
+from cellslam.cli.cities import note_own_city
 from cellslam.cli.output import note_long
 from cellslam.cli.results import Results, left_out
 from cellslam.progress_bars import bars
@@ -64,6 +65,7 @@ def command(arguments: Namespace) -> int:
     known = scenario.map.known is not None or scenario.map.drives > 1
     results.note(check_map(arguments, known, requests, trials))
     note_long(arguments, scenario.city, scenario.vehicle)
+    note_own_city(arguments, scenario, seed)
     with ExternalProcesses(limits(arguments, 1)) as external, bars(arguments.quiet) as progress, ExitStack() as stack:
         compile_ahead(requests)
         external.begin(requests)

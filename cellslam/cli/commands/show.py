@@ -16,6 +16,7 @@ from rich.padding import Padding
 from rich.table import Table
 
 from cellslam.cli.arguments import FLAG, add
+from cellslam.cli.cities import note_own_city
 from cellslam.cli.output import console, note, plain_table
 from cellslam.scenarios.estimator_options import own_code, resolve
 from cellslam.scenarios.keys import Key, describe
@@ -57,6 +58,10 @@ def command(arguments: Namespace) -> None:
     if len(keys) < len(known):
         out.print(escape(f"\nat their defaults: {_sections(known)}\n{MORE.format(scenario.name)}"), highlight=False)
     note(arguments, f"not loaded, as it is code: {', '.join(code)}; --load imports it" if code else "")
+    try:
+        note_own_city(arguments, scenario)
+    except InputError as error:  # its keys are right
+        note(arguments, f"note: {error}")
 
 
 def _code(scenario: Scenario) -> dict[str, str]:
