@@ -22,7 +22,7 @@ from cellslam.benchmarks.trials.trials import (
 from cellslam.progress_bars import shown
 from cellslam.recordings.fitting.assumptions import assumed
 from cellslam.scenarios import external_options
-from cellslam.scenarios.recording_origin import TECHNOLOGY, Origin
+from cellslam.scenarios.recording_origin import Origin
 from cellslam.scenarios.scenario import Scenario
 from cellslam.scenarios.simulation import scenario_of, simulate
 from cellslam.scenarios.sweep_points import Sweep, points
@@ -148,14 +148,14 @@ def replay(
     """Return the rows of `estimators` on a recording or the file of one, each scored by truth or reference.
 
     `seed`: of the estimators' draws (None: the recording's own); `overrides`: options as
-    "estimator.fastslam.particles", and the odometry's data sheet as "noise.u_psi.noise_density", and code that the
-    recording names, as its "radio.technology", given again: unasked it is not loaded; `align`: each estimate is first
-    laid onto the truth; `fit`: the sizes of errors are learnt from the recording first (None: if it was measured);
+    "estimator.fastslam.particles", and the odometry's data sheet as "noise.u_psi.noise_density", and what the recording
+    names of code and files, as its "radio.path_loss", given again: unasked it is not loaded; `align`: each estimate is
+    first laid onto the truth; `fit`: sizes of errors are learnt from the recording first (None: if it was measured);
     `progress`, `on_error`: as of `run`. Raises InputError.
     """
     place = Path("recording" if isinstance(recording, Recording) else recording)
     drive = recording if isinstance(recording, Recording) else Recording.load(place)
-    origin = Origin.of(drive, place, (overrides or {}).get(TECHNOLOGY))
+    origin = Origin.of(drive, place, overrides)
     root = origin.seed if seed is None else seed
     check_counts(1, root)
     with ExternalProcesses() as external, shown(progress) as display:

@@ -1,6 +1,7 @@
-"""Code of the user's own that a scenario names as module:name, in the place of a part of the world.
+"""Code of the user's own that a scenario names as module:name, in the place of a part of the world, and its files.
 
-A recording or a store of results is data: code that these name is not loaded, unless the user names it again.
+A recording or a store of results is data: code that these name is not loaded, and the file of a detector's constants
+not read, unless the user names it again.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ from typing import Any
 from cellslam.sim.errors import InputError, one_line
 
 OWN = r"[\w.]+:\w+"  # how a key names it
+FILES = ("radio.statistics_file",)  # keys of files
 _LOADED: dict[str, Any] = {}  # what this process was asked for, by name
+_READ: set[str] = set()  # files that this process was asked for
 
 
 def load_own(key: str, name: str) -> Any:
@@ -33,6 +36,19 @@ def load_own(key: str, name: str) -> Any:
 def is_loaded(name: str) -> bool:
     """Return whether what a key names is cellslam's own, or was loaded by this process before."""
     return ":" not in name or name in _LOADED
+
+
+def allow(key: str, name: str) -> None:
+    """Load the code that a key names, or let its file be read, as the user asked for it. Raises InputError."""
+    if key in FILES:
+        _READ.add(name)
+    elif ":" in name:
+        load_own(key, name)
+
+
+def is_allowed(key: str, name: str) -> bool:
+    """Return whether what a key names is no one's own, or this process was asked for it."""
+    return name in _READ or not name if key in FILES else is_loaded(name)
 
 
 def seek_here() -> None:

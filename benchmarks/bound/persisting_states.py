@@ -26,7 +26,7 @@ from pydantic import ValidationError
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte.persisting_errors import Cause, causes, persisting_std
-from cellslam.sim.lte.radio_config import RadioConfig
+from cellslam.sim.lte.radio_config import TECHNOLOGY, RadioConfig
 from cellslam.sim.recording import Floats, Ints, Recording
 
 # The area below exp(-x^2 / (2 l^2)) is that below exp(-x / (AREA l)).
@@ -158,7 +158,7 @@ def radio_of(recording: Recording) -> RadioConfig | None:
             "truth.persisting_std is not zero, but the provenance has no valid world.radio, which says how the errors"
             " persist: the bound needs it (or drop truth.persisting_std to have all errors taken as white)"
         ) from error
-    if "radio.technology" in config.code():
+    if TECHNOLOGY in config.unasked():
         raise InputError(
             f"the recording names code, radio.technology = '{config.technology}', which the bound needs: if you trust "
             f"it, give it again, --set radio.technology={config.technology}"

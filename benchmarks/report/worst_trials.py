@@ -21,7 +21,7 @@ from cellslam.benchmarks.tables.summaries import Layout, metrics_of
 from cellslam.scenarios.loading import from_tables
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.lte.radio_config import RadioConfig
-from cellslam.sim.own_code import load_own
+from cellslam.sim.own_code import FILES, allow
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Ints
 
@@ -78,12 +78,13 @@ def worst_trials(data: SweepData, choice: Choice) -> list[Worst]:
 
 
 def load_code(folder: Path) -> None:
-    """Import the code that the worlds of a store name: waveforms, antenna patterns, path losses. Raises InputError."""
+    """Import the code that the worlds of a store name (as waveforms and path losses), and let their files be
+    read. Raises InputError."""
     with reading(folder) as database:
         worlds = [json.loads(text) for (text,) in database.execute("SELECT tables FROM worlds")]
     for radio in (world["radio"] for world in worlds if "radio" in world):
-        for key, name in RadioConfig(**radio).code().items():
-            load_own(key, name)
+        for key, name in RadioConfig(**radio).unasked().items():
+            allow(key, name)
 
 
 def failed_trials(folder: Path) -> dict[str, Any]:
@@ -215,9 +216,10 @@ def _world(folder: Path, key: str, worst: Worst) -> tuple[World | None, str]:
         (text,) = database.execute(query, (key,)).fetchone()
     try:
         scenario = from_tables(json.loads(text), code=False)
-        if code := scenario.radio.code():
-            named = ", ".join(f"{key} = '{name}'" for key, name in code.items())
-            raise InputError(f"it names code, {named}, which 'report --load' imports")
+        if unasked := scenario.radio.unasked():
+            named = ", ".join(f"{key} = '{name}'" for key, name in unasked.items())
+            what = "a file" if unasked.keys() <= {*FILES} else "code"
+            raise InputError(f"it names {what}, {named}, which 'report --load' loads")
         return prepare(scenario.world, worst.seed, worst.trial), ""
     except InputError as error:
         return None, f"The world cannot be made again: {error}."

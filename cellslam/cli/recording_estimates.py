@@ -21,8 +21,9 @@ from cellslam.recordings.importing.manifest import tables_of
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.external_options import LOAD_LIMIT_S
 from cellslam.scenarios.overrides import parse_all
-from cellslam.scenarios.recording_origin import TECHNOLOGY, Origin
+from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError
+from cellslam.sim.lte.radio_config import NAMING
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Recording
 
@@ -31,8 +32,8 @@ ALONE = "dead-reckoning"
 
 
 def origin_by(arguments: Namespace, recording: Recording, path: Path) -> Origin:
-    """Return where a recording is from; a waveform that is code is loaded where the arguments give it again."""
-    return Origin.of(recording, path, parse_all(arguments.sets).get(TECHNOLOGY))
+    """Return where a recording is from; code that it names is loaded where the arguments give it again."""
+    return Origin.of(recording, path, parse_all(arguments.sets))
 
 
 def assumed_by(
@@ -48,7 +49,7 @@ def assumed_by(
     """
     fit = False if arguments.fit is None and arguments.options else arguments.fit
     changes = parse_all(arguments.sets)
-    external = [key for key in changes if key.partition(".")[0] not in TABLES and key != TECHNOLOGY]
+    external = [key for key in changes if key.partition(".")[0] not in TABLES and key not in NAMING]
     if external:
         raise InputError(
             f"--set {external[0]}: a recording is as it is; 'estimator.NAME.key' can be set, and the odometry's data "

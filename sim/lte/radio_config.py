@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cellslam.sim.errors import InputError, one_line
-from cellslam.sim.own_code import OWN, is_loaded, load_own
+from cellslam.sim.own_code import OWN, is_allowed, load_own
 
 if TYPE_CHECKING:
     from cellslam.sim.waveform import Waveform
@@ -28,6 +28,8 @@ class Band(NamedTuple):
 
 
 LTE_THRESHOLD = 17.4
+TECHNOLOGY, STATISTICS = "radio.technology", "radio.statistics_file"
+NAMING = (TECHNOLOGY, "radio.antenna_pattern", "radio.path_loss", STATISTICS)  # keys that may name code or a file
 SECTOR, FREE_SPACE = "3gpp", "free-space"  # built-in antenna pattern and path loss
 NR_BANDS = {48: Band("20 MHz", 17.4), 132: Band("50 MHz", 18.4), 272: Band("100 MHz", 19.2)}  # by blocks of 30 kHz
 
@@ -226,10 +228,10 @@ class RadioConfig(BaseModel):
         """Return the receiver's noise per resource element and array port, in mW."""
         return float(10.0 ** (self.noise_dbm / 10.0) * (self.waveform().element_hz / NOISE_BANDWIDTH_HZ))
 
-    def code(self) -> dict[str, str]:
-        """Return what these keys name of code that is not cellslam's own, and was not loaded by this process."""
-        named = {f"radio.{key}": str(getattr(self, key)) for key in ("technology", "antenna_pattern", "path_loss")}
-        return {key: name for key, name in named.items() if not is_loaded(name)}
+    def unasked(self) -> dict[str, str]:
+        """Return what these keys name of code and files that this process was not asked for, by dotted key."""
+        named = {key: str(getattr(self, key.removeprefix("radio.")) or "") for key in NAMING}
+        return {key: name for key, name in named.items() if not is_allowed(key, name)}
 
     def sector_gain_db(self, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, tilt_rad: ArrayLike) -> Floats:
         """Return the gain (...,) in dB of a sector's antenna over its greatest, broadcast over its arguments.

@@ -18,9 +18,11 @@ from cellslam.recordings.fitting.assumptions import assumed
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError
+from cellslam.sim.lte.statistical.statistics import file_of
 from cellslam.sim.recording import Recording
 from tests.benchmarks.made_up_sweeps import made_up, plan_of, trajectory
 from tests.command_line import Run, refused
+from tests.short_drive import SHORT
 
 EVIL = """
 from pathlib import Path
@@ -33,6 +35,7 @@ class W:
     def start(self, setup, rng): pass
     def step(self, dt_s, odometry, snapshot): pass
 part = BUILT_IN["association"]["nearest-neighbour"]
+def loss(*given): return 0.0 * sum(given)
 """
 WORLD = """
 [city]
@@ -78,7 +81,7 @@ def test_a_waveform_that_a_recording_names_is_not_loaded(
     with pytest.raises(InputError, match=r"names code, radio\.technology"):
         radio_of(odd)
     assert Origin.of(odd).scenario is None and not ran()
-    Origin.of(odd, technology="evil:W")
+    Origin.of(odd, given={"radio.technology": "evil:W"})
     assert ran()
 
 
@@ -98,13 +101,45 @@ def test_a_part_that_a_recording_names_is_not_loaded(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("key", "name", "bound"),
+    [("radio.path_loss", "evil:loss", True), ("radio.statistics_file", "mine.json", False)],
+)
+def test_own_parts_of_the_world_are_used_where_they_are_given_again(
+    ran: Callable[[], bool], cellslam: Run, monkeypatch: pytest.MonkeyPatch, key: str, name: str, bound: bool
+) -> None:
+    Path("mine.json").write_text(file_of().read_text())
+    assert cellslam("record", "tiny", *SHORT, "--set", f"{key}={name}", "--out", "drive.h5").status == 0
+    monkeypatch.setattr("cellslam.sim.own_code._LOADED", {})
+    monkeypatch.setattr("cellslam.sim.own_code._READ", set())
+    sys.modules.pop("evil", None)
+    Path("ran").unlink(missing_ok=True)
+    again, replay = ("--set", f"{key}={name}"), ("replay", "drive.h5", "--estimator", "dead-reckoning")
+    refused(cellslam(*replay, "--set", f"{key}=other"), f"{key}=other: a recording is as it is, with '{name}'")
+    done = cellslam(*replay)
+    assert done.status == 0 and ("bound" in done.out) == bound and not ran()
+    assert f"without the city in figures: the recording names {'code' if bound else 'a file'}, {key}" in done.err
+    assert f"give it again: --set {key}={name}" in done.err
+    assert ("without the bound" in done.err) != bound
+    for words in (replay, (*replay, "--fit"), ("inspect", "drive.h5", "--estimator", "dead-reckoning")):
+        done = cellslam(*words, *again)
+        assert done.status == 0 and "without" not in done.err, done.err
+        assert "bound" in done.out or words[0] == "inspect"
+    assert ran() == bound
+    assert cellslam("fit-noise", "drive.h5").status == 0  # needs none of it
+
+
+@pytest.mark.slow
 def test_to_show_a_scenario_runs_nothing(ran: Callable[[], bool], cellslam: Run) -> None:
     own = '[estimator."evil:W"]\nevil_option = 3\n[estimator.fastslam]\nassociation = "evil:part"\n'
     Path("place.toml").write_text(f'{WORLD}[radio]\ntechnology = "evil:W"\nfront_end = "signal"\n{own}')
     done = cellslam("show", "place.toml")
     assert done.status == 0 and not ran()
     assert "evil:part" in done.out and "evil_option" not in done.out
-    assert "not loaded, as it is code: radio.technology, estimator.fastslam.association, estimator.evil:W" in done.err
+    assert (
+        "not loaded, as it is code or a file: radio.technology, estimator.fastslam.association, estimator.evil:W"
+        in done.err
+    )
     for command in (("city", "inspect", "place.toml"), ("init", "place.toml", "--out", "own.toml", "--no-figures")):
         assert cellslam(*command).status == 0 and not ran()
     assert str(Path.cwd()) not in sys.path[1:]
@@ -131,7 +166,7 @@ def test_to_look_at_results_runs_nothing(ran: Callable[[], bool], cellslam: Run)
         assert "evil:W (oracle)" in done.out or command in ("figures", "report")
     assert not ran() and str(Path.cwd()) not in sys.path[1:]
     assert (
-        "it names code, radio.technology = 'evil:W', which 'report --load' imports"
+        "it names code, radio.technology = 'evil:W', which 'report --load' loads"
         in Path("results/report.html").read_text()
     )
     cellslam("report", "results", "--load")

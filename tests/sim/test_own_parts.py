@@ -101,8 +101,8 @@ def test_constants_of_the_detector_come_from_a_file(monkeypatch: pytest.MonkeyPa
     assert deaf.truth is not None and plain.truth is not None
     assert (deaf.truth.measurement_vt >= 0).sum() < 0.5 * (plain.truth.measurement_vt >= 0).sum()
     assert bound(deaf).position_rmse_m > bound(plain).position_rmse_m
-    monkeypatch.setattr("cellslam.sim.lte.statistical.statistics._READ", set())
-    assert Origin.of(deaf).scenario is not None
+    monkeypatch.setattr("cellslam.sim.own_code._READ", set())
+    assert Origin.of(deaf).scenario is None and Origin.of(deaf).code == {"radio.statistics_file": "deaf.json"}
     with pytest.raises(InputError, match="not read unasked"):
         bound(deaf)
     for text, message in (("{}", "not constants of a detector"), ("[", "not constants"), ("[]", "not constants")):
@@ -113,7 +113,7 @@ def test_constants_of_the_detector_come_from_a_file(monkeypatch: pytest.MonkeyPa
         cellslam.simulate("tiny", overrides={**SET, "radio.statistics_file": "nowhere.json"})
 
 
-def test_another_content_of_the_file_of_constants_is_another_scenario(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_content_of_the_file_of_constants_is_another_scenario() -> None:
     file, overrides = Path("mine.json"), {**SET, "radio.statistics_file": "mine.json"}
     file.write_text(file_of().read_text())
     first, recording = cellslam.load("tiny", overrides), cellslam.simulate("tiny", overrides=overrides)
@@ -129,7 +129,6 @@ def test_another_content_of_the_file_of_constants_is_another_scenario(monkeypatc
             again()
     taken = from_tables(first.resolved, {"radio.statistics_digest": ""})
     assert taken.world == cellslam.load("tiny", overrides).world
-    monkeypatch.setattr("cellslam.sim.lte.statistical.statistics._READ", set())
     file.unlink()  # what a recording names is not opened
     origin = Origin.of(recording)
     assert origin.scenario is not None and origin.scenario.world == first.world

@@ -21,6 +21,7 @@ from cellslam.recordings.fitting.fit_sizes import in_words, toml
 from cellslam.scenarios.estimator_options import with_options
 from cellslam.scenarios.scenario import MapConfig
 from cellslam.sim.errors import InputError
+from cellslam.sim.lte.radio_config import NAMING
 from cellslam.sim.recording import Recording
 
 EXAMPLES = ("replay tiny.h5 --estimator fastslam", "replay drive.h5 --fit")
@@ -58,6 +59,8 @@ def command(arguments: Namespace) -> int:
     elif given.learnt is not None:
         results.write("fit.toml", toml(path, given.learnt))
         results.note("\n".join(in_words(given.learnt)))
+    missing = () if origin.measured else [origin.unasked(key) for key in origin.code if key in NAMING]
+    results.note("\n".join(f"without the city in figures: {why}" for why in missing))
     results.note(without)
     before = Before(MapConfig(file=arguments.map))
     results.note(check_map(arguments, arguments.map is not None, requests, 1))

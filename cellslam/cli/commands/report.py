@@ -17,7 +17,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--worst", metavar="N", type=whole, default=3, help="trials with a section each (default: 3)")
     metric_help = "by which trials are the worst (default: position_rmse_m)"
     parser.add_argument("--metric", metavar="NAME", default="position_rmse_m", help=metric_help)
-    load_help = "import the code that the results name for their worlds, too, to make those of the worst trials again"
+    load_help = (
+        "load the code and files that the results name for their worlds, too, to make those of the worst trials again"
+    )
     parser.add_argument("--load", help=load_help, **FLAG)
     add(parser, "--estimator", help="whose worst trials; may be repeated (default: the estimator with the best median)")
 

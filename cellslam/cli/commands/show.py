@@ -57,7 +57,7 @@ def command(arguments: Namespace) -> None:
         out.print(_wide_table(keys))
     if len(keys) < len(known):
         out.print(escape(f"\nat their defaults: {_sections(known)}\n{MORE.format(scenario.name)}"), highlight=False)
-    note(arguments, f"not loaded, as it is code: {', '.join(code)}; --load imports it" if code else "")
+    note(arguments, f"not loaded, as it is code or a file: {', '.join(code)}; --load loads it" if code else "")
     try:
         note_own_city(arguments, scenario)
     except InputError as error:  # its keys are right
@@ -68,7 +68,11 @@ def _code(scenario: Scenario) -> dict[str, str]:
     """Return all code that a scenario names, by key. To look at a scenario runs none of it."""
     built_in, known = {entry.name for entry in registry.BUILT_IN}, registry.names()
     others = [name for name in scenario.estimator if name not in built_in and (":" in name or name in known)]
-    return {**scenario.radio.code(), **own_code(scenario.estimator), **{f"estimator.{name}": name for name in others}}
+    return {
+        **scenario.radio.unasked(),
+        **own_code(scenario.estimator),
+        **{f"estimator.{name}": name for name in others},
+    }
 
 
 def _keys(scenario: Scenario, code: Mapping[str, str]) -> Iterator[Key]:

@@ -16,8 +16,9 @@ from cellslam.scenarios import external_options
 from cellslam.scenarios.estimator_options import Request
 from cellslam.scenarios.keys import validate
 from cellslam.scenarios.overrides import apply, split
-from cellslam.scenarios.recording_origin import TECHNOLOGY, Origin
+from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError, nearest_name
+from cellslam.sim.lte.radio_config import NAMING, TECHNOLOGY
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, OdometryModel, Recording
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
@@ -71,12 +72,10 @@ def assumed(
 def _refuse_code(origin: Origin, names: Sequence[str], given: Mapping[str, Any]) -> None:
     """Raise InputError for code that would be loaded since the recording names it: a recording is data."""
     loaded = {*expanded(names), *(split(key)[1] for key in given if key.startswith("estimator."))}
-    for key, value in origin.code.items():
-        if key not in given and (key == TECHNOLOGY or split(key)[1] in loaded):
-            raise InputError(
-                f"the recording names code, {key} = '{value}', which is not loaded unasked; if you trust it, give it "
-                f"again: --set {key}={value}"
-            )
+    for key in origin.code:
+        needed = key == TECHNOLOGY or (key not in NAMING and split(key)[1] in loaded)
+        if needed and key not in given:
+            raise InputError(origin.unasked(key))
 
 
 def _with(

@@ -17,8 +17,9 @@ import numpy as np
 
 from cellslam.sim.data_files import json_of, text_of
 from cellslam.sim.errors import InputError, one_line
-from cellslam.sim.lte.radio_config import RadioConfig
+from cellslam.sim.lte.radio_config import STATISTICS, RadioConfig
 from cellslam.sim.lte.statistical.detector_layout import Standing
+from cellslam.sim.own_code import allow, is_allowed
 from cellslam.sim.recording import Floats
 
 LTE = "lte"  # whose constants, measured at 20 MHz, serve all of its bandwidths
@@ -89,9 +90,6 @@ def statistics(band: str = LTE) -> Statistics:
     return parse(json.loads(file_of(band).read_text(encoding="utf-8")))
 
 
-_READ: set[str] = set()  # files of constants that the user asked this process for
-
-
 def statistics_of(config: RadioConfig, asked: bool = False) -> Statistics:
     """Return the constants that a radio configuration asks for: those of its band, or of a file.
 
@@ -100,17 +98,21 @@ def statistics_of(config: RadioConfig, asked: bool = False) -> Statistics:
     """
     if config.statistics_file is None:
         return statistics(config.statistics_band or LTE)
+    file, expected = config.statistics_file, config.statistics_digest
     if asked:
-        _READ.add(config.statistics_file)
-    if config.statistics_file not in _READ:
-        raise InputError(f"a recording names the file {config.statistics_file}, which is not read unasked")
-    text, expected = _text_of(config.statistics_file), config.statistics_digest
+        allow(STATISTICS, file)
+    if not is_allowed(STATISTICS, file):
+        raise InputError(
+            f"the recording names a file, radio.statistics_file = '{file}', which is not read unasked; if you trust "
+            f"it, give it again: --set radio.statistics_file={file}"
+        )
+    text = _text_of(file)
     if expected not in ("", _digest(text)):
         raise InputError(
-            f"radio.statistics_file '{config.statistics_file}' has another content ({_digest(text)}) than when the "
-            f"scenario was stored ({expected}); --set radio.statistics_digest= takes the file as it is"
+            f"radio.statistics_file '{file}' has another content ({_digest(text)}) than when the scenario was stored "
+            f"({expected}): put that back, or simulate again with --set radio.statistics_digest= and the file as it is"
         )
-    return _in_file(config.statistics_file, text)
+    return _in_file(file, text)
 
 
 def with_digest(config: RadioConfig) -> RadioConfig:
