@@ -16,6 +16,7 @@ from cellslam.benchmarks.trials.output_files import file_name, write_text, write
 from cellslam.cli.arguments import DONE, FAILED, INTERRUPTED
 from cellslam.cli.between_drives import save
 from cellslam.cli.output import console, note
+from cellslam.cli.time_spent import TimeSpent
 from cellslam.slam import registry
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class Results:
     first: Trial | None = None
     keep: Callable[[Trial], None] | None = None
     unsaved: bool = False
+    time_spent: TimeSpent = field(default_factory=TimeSpent)
 
     def note(self, text: str) -> None:
         """Say something, if it is something, on stderr, unless --quiet."""
@@ -90,7 +92,7 @@ class Results:
             text = kept if done else "no trial was finished and nothing was written"
             sys.stderr.write(f"interrupted: {text}; to do it all, repeat: {self.command}\n")
             return INTERRUPTED
-        self.note(f"results are in {self.folder}")
+        self.note(f"{self.time_spent.in_words()}\nresults are in {self.folder}")
         return FAILED if self.unsaved or any(row["status"] == "failed" for row in self.rows) else DONE
 
     def write(self, name: str, text: str) -> None:

@@ -64,7 +64,8 @@ def command(arguments: Namespace) -> int:
     results.note(without)
     before = Before(MapConfig(file=arguments.map))
     results.note(check_map(arguments, arguments.map is not None, requests, 1))
-    with ExternalProcesses(limits(arguments, 1)) as external, bars(arguments.quiet) as progress:
+    with ExternalProcesses(limits(arguments, 1)) as external, bars(arguments.quiet) as display:
+        progress = results.time_spent.of(display)
         external.begin(requests)
 
         def only() -> Iterator[trials.Trial]:

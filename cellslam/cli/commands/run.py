@@ -66,7 +66,8 @@ def command(arguments: Namespace) -> int:
     results.note(check_map(arguments, known, requests, trials))
     note_long(arguments, scenario.city, scenario.vehicle)
     note_own_city(arguments, scenario, seed)
-    with ExternalProcesses(limits(arguments, 1)) as external, bars(arguments.quiet) as progress, ExitStack() as stack:
+    with ExternalProcesses(limits(arguments, 1)) as external, bars(arguments.quiet) as display, ExitStack() as stack:
+        progress = results.time_spent.of(display)
         compile_ahead(requests)
         external.begin(requests)
         results.open_store = lambda: _open_store(results, scenario, stack)
