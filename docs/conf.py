@@ -26,8 +26,9 @@ exclude_patterns = ["examples", "site"]
 html_theme = "furo"
 html_title = "cellslam"
 html_logo = html_favicon = "site/logo.svg"
-html_static_path = ["site/site.css"]
+html_static_path = ["site/site.css", "site/site.js"]
 html_css_files = ["site.css"]
+html_js_files = [("site.js", {"defer": "defer"})]
 html_copy_source = False
 html_show_copyright = False
 html_show_sphinx = False
