@@ -27,18 +27,22 @@ function drawCharts(charts, trial) {
     } else home.hidden = true;
   };
   const having = estimates.filter((one) => one.error.length);
-  const errors = having.map((one, i) => {
-    const first = having.slice(0, i).find((other) => alike(other.error, one.error));
-    const more = first ? { name: `${one.label} (coincides with ${first.label})`, line: { color: seriesOf(one.label).colour, dash: "dot", width: 2.4 } } : {};
-    return line(one, one.error, more);
-  });
+  const errors = having.map((one) => line(one, one.error, coinciding(one, having, (other) => other.error)));
   if (bound.length) errors.push({ x: time, y: bound, name: "bound", mode: "lines", line: { color: look("soft"), dash: "dash", width: 1.4 } });
   draw(charts.error, errors, layoutOf("time (s)", "horizontal error (m)", { yaxis: { rangemode: "tozero" }, rest: { shapes: [cursor] } }));
   const band = { type: "rect", xref: "paper", x0: 0, x1: 1, y0: NEES_BAND[0], y1: NEES_BAND[1], fillcolor: "#999999", opacity: 0.2, line: { width: 0 }, layer: "below" };
-  draw(charts.nees, estimates.filter((one) => one.nees.length).map((one) => line(one, one.nees.map((v) => (v === null ? null : Math.max(v, 1e-3))))),
+  const consistent = estimates.filter((one) => one.nees.length);
+  const cut = (one) => one.nees.map((v) => (v === null ? null : Math.max(v, 1e-3)));
+  draw(charts.nees, consistent.map((one) => line(one, cut(one), coinciding(one, consistent, (other) => cut(other).map((v) => v && Math.log(v))))),
     layoutOf("time (s)", "NEES (grey: 95 %)", { yaxis: { type: "log", tickvals: DECADES, ticktext: DECADES.map(String) }, rest: { shapes: [cursor, band] } }));
   draw(charts.offset, ...offsetChart(estimates, time, scene, cursor, line));
   return drawn;
+}
+
+// Name and line of one that another one before it covers.
+function coinciding(one, all, valuesOf) {
+  const first = all.slice(0, all.indexOf(one)).find((other) => alike(valuesOf(other), valuesOf(one)));
+  return first ? { name: `${one.label} (coincides with ${first.label})`, line: { color: seriesOf(one.label).colour, dash: "dot", width: 2.4 } } : {};
 }
 
 // Error of each site's clock offset, with the band of two claimed standard deviations; a row a site.
@@ -61,7 +65,8 @@ function offsetChart(estimates, time, scene, cursor, line) {
         traces.push({ x: time, y: side(1), mode: "lines", line: { width: 0 }, yaxis: `y${axis}`, hoverinfo: "skip", showlegend: false,
           fill: "tonexty", fillcolor: faint(seriesOf(one.label).colour, 0.2) });
       }
-      traces.push(line(one, error, { yaxis: `y${axis}`, showlegend: site === 0 }));
+      const covered = coinciding(one, having, (other) => other.offset_error.flat());
+      traces.push(line(one, error, { ...covered, yaxis: `y${axis}`, showlegend: site === 0 }));
     }
   }
   layout.xaxis.anchor = sites > 1 ? `y${sites}` : "y";

@@ -32,6 +32,9 @@ function shown(value) {
 // Long keys may break after their dots.
 const breakable = (text) => text.split(/(?<=[._])/).flatMap((piece) => [piece, make("wbr")]);
 
+// What stands before a value on a narrow screen, where a row of a table is a list.
+const withUnit = (heading) => (heading.unit ? `${heading.text} (${heading.unit})` : heading.text);
+
 // A table whose columns sort; each line is a list of cells {key, node}, key being what is compared.
 function sortable(headings, lines, words) {
   const body = make("tbody");
@@ -39,7 +42,8 @@ function sortable(headings, lines, words) {
   const fill = (sorted) => body.replaceChildren(...sorted.map((line) => line.row));
   const rows = lines.map((cells) => ({
     cells,
-    row: make("tr", {}, ...cells.map((cell, i) => make("td", { class: i < words ? "word" : null }, cell.node))),
+    row: make("tr", {}, ...cells.map((cell, i) =>
+      make("td", { class: i < words ? "word" : null, "data-heading": withUnit(headings[i]) }, cell.node))),
   }));
   headings.forEach((heading, column) => {
     const button = make("button", { type: "button" }, ...breakable(heading.text));
