@@ -53,15 +53,19 @@ def predict(P: Floats, m: Floats, s: Floats, F: Floats, Q: Floats, jump: Floats,
                 for x in range(n):
                     rows[i, x] += F[i, j] * P[j, x]
     block = rows[:, :core].copy() @ F.T.copy() + Q
-    m[:core] = mean
-    for i in range(core):
-        rows[i, :core] = block[i]
-        P[i, :n], P[:n, i] = rows[i], rows[i]
-    s[:n] *= a
-    if s[:n].min() < SMALLEST_SCALE:
+    for i in range(core):  # loops: to assign arrays is to compile the text of an error, too
+        m[i] = mean[i]
+        for x in range(n):
+            P[i, x] = P[x, i] = block[i, x] if x < core else rows[i, x]
+    smallest = np.inf
+    for i in range(n):
+        s[i] *= a[i]
+        smallest = min(smallest, s[i])
+    if smallest < SMALLEST_SCALE:
         for i in range(n):
-            P[i, :n] *= s[i] * s[:n]
-        m[:n] *= s[:n]
+            m[i] *= s[i]
+            for x in range(n):
+                P[i, x] *= s[i] * s[x]
         s[:n] = 1.0
     for i in range(n):
         P[i, i] += (1.0 - a[i] ** 2) / s[i] ** 2
@@ -101,8 +105,10 @@ def update(P: Floats, m: Floats, n: int, H: Components, t: int, views: Sparse, p
     """
     low, k = H.begin[t], H.begin[t + 1] - H.begin[t]
     std = H.std[low : low + k].reshape((k, 1))
-    G = np.empty((k + 3, n))  # with three rows more, as `downdate` asks
-    G[:k] = times(H, t, views, place, s, P, n) / std
+    seen, G = times(H, t, views, place, s, P, n), np.empty((k + 3, n))  # with three rows more, as `downdate` asks
+    for i in range(k):
+        for x in range(n):
+            G[i, x] = seen[i, x] / std[i, 0]
     L = times(H, t, views, place, s, G[:k].T.copy(), k) / std
     y = (H.residual[low : low + k] - times(H, t, views, place, s, m.reshape((len(m), 1)), 1)[:, 0]) / std[:, 0]
     rounded = ROUNDING * np.trace(L)
