@@ -36,7 +36,7 @@ MEAN_DBSM, STD_DB = 15.0, 5.0
 STAND_OFF_M = 0.3
 AT_CORNERS = 0.5
 STEEP = 0.1  # sine of how far a wall leans at most
-REACH_M = 200.0  # from farther off a scatterer is not received
+REACH_M = 100.0  # from farther off a scatterer is not received: the radius of the region in which it is visible
 
 
 @dataclass(frozen=True, repr=False)
