@@ -65,7 +65,7 @@ class FastSlamKnownAssociation(GivenAssociations, FastSlam):
 
 
 class KnownMap(EkfSlam):
-    """Localisation in the true map: every mirror image of the drive is known, clock offsets and associations are not."""
+    """Localisation in the true map: mirror images of the drive are known, clock offsets and associations are not."""
 
     name: ClassVar[str] = "oracle-map"
     requires_truth: ClassVar[bool] = True

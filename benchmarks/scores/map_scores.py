@@ -143,7 +143,7 @@ def vt_nees(recording: Recording, vts: VtEstimate, association: Ints) -> Floats:
 
 
 def stand_for(recording: Recording, vts: VtEstimate, association: Ints) -> Ints:
-    """Return which true VT each final one (V,) stands for, -1: none, or one of the other kind, mirror image or scatterer;
+    """Return which true VT each final one (V,) stands for, -1: none, or a mirror image and a scatterer for each other;
     arguments and error as of `vt_nees`."""
     truth, site = recording.truth, recording.links.site
     if truth is None:

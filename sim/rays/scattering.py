@@ -8,7 +8,9 @@ path to a receiver r exists where both straight ways are free,
 
 without a change of polarisation, and sigma is the same to all sides. A point stands a little in front of its wall:
 what juts out of facades scatters, bays, balconies, frames and corners. Half of the points stand at the ends of walls,
-from where they see both streets.
+from where they see both streets. It is received within a region around it (visibility region, Molisch et al., "The COST
+259 directional channel model, part I", IEEE Trans. Wireless Communications 5(12), 2006), here of 100 m; radius, height,
+stand-off and share at corners are own assumptions.
 
 Source: the bistatic radar equation, Skolnik, "Introduction to radar systems", 3rd ed., 2001. Cross sections, own
 assumption: 15 dBsm, which is about that of a corner reflector of half a metre at 2.66 GHz, 4 pi a^4 / (3 lambda^2)
@@ -21,7 +23,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellslam.sim.city.city import GROUND, Floats, Ints
 from cellslam.sim.described import Described

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, held, wrap_angle
 from cellslam.sim.lte.faults import walk_densities
 from cellslam.sim.progress import Progress, silent
-from cellslam.sim.recording import Ints, Links, Recording, Sites, Truth, Vehicles, VirtualTransmitters
+from cellslam.sim.recording import Floats, Ints, Links, Recording, Sites, Truth, Vehicles, VirtualTransmitters
 from cellslam.sim.world.world import Reception, WorldConfig, prepare
 
 if TYPE_CHECKING:

@@ -130,8 +130,8 @@ class Reception:
 
 @dataclass(frozen=True)
 class World(Reception):
-    """One trial's world, ready to be measured. `traffic`: other vehicles; `scatterers`: points of the city that scatter;
-    None without any."""
+    """One trial's world, ready to be measured. `traffic`: other vehicles, `scatterers`: points that scatter; None
+    without any."""
 
     scene: Scene
     traffic: Traffic | None
