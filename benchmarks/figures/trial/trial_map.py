@@ -141,7 +141,7 @@ def _near(place: Floats, drive: Extent) -> Floats:
     """Return those of the positions (n, 2) that are not five times as far off as half of them."""
     off = np.hypot(*(place - np.mean(drive, axis=1)).T)
     farthest = FAR * max(float(np.median(off)), float(np.ptp(drive[0]))) if len(off) else 0.0
-    return place[off <= farthest]
+    return np.asarray(place[off <= farthest])
 
 
 def _scatterers(
