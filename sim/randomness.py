@@ -33,6 +33,7 @@ class Stream(IntEnum):
     SENSORS = 14
     REPORTS = 15
     SURVEY = 16
+    SCATTERERS = 17
 
 
 def stream(seed: int, trial: int, name: Stream) -> np.random.Generator:

@@ -98,6 +98,11 @@ class VtEstimate(Described):
     covariance: Floats
     scatterer: Ints | None = None
 
+    @property
+    def scatters(self) -> NDArray[np.bool_]:
+        """Which VTs (V,) are scatterers."""
+        return np.zeros(len(self.id), np.bool_) if self.scatterer is None else self.scatterer == 1
+
     def to_dataframe(self) -> pd.DataFrame:
         """Return a pandas table, a row a VT: id, link, x_m, y_m, z_m."""
         return dataframe(

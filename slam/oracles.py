@@ -65,7 +65,7 @@ class FastSlamKnownAssociation(GivenAssociations, FastSlam):
 
 
 class KnownMap(EkfSlam):
-    """Localisation in the true map: every VT of the drive is known, clock offsets and associations are not."""
+    """Localisation in the true map: mirror images of the drive are known, clock offsets and associations are not."""
 
     name: ClassVar[str] = "oracle-map"
     requires_truth: ClassVar[bool] = True
@@ -80,9 +80,9 @@ class KnownMap(EkfSlam):
         return None
 
     def _install(self, mixture: Mixture) -> None:
-        """Put every VT of a link's site on that link."""
+        """Put every VT of a link's site on that link, but scatterers."""
         vts = self._truth.vts
-        link, vt = np.nonzero(self._setup.links.site[:, None] == vts.site)
+        link, vt = np.nonzero((self._setup.links.site[:, None] == vts.site) & ~vts.scatters)
         mixture.know(link, vt, vts.position_m[vt], np.zeros((len(vt), 3)), LONG_AGO)
 
     def _refuted_surveys(self) -> list[str]:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 Flags = NDArray[np.bool_]
 BROAD_STD = np.array([1e4, 10.0, 10.0])  # of a component that a VT's first measurement lacks: m, rad, rad
+SCATTERED_STD_M = 1e3  # how little is known of scatterers, and of a site that illuminates them, beforehand
 STEP_STD_M = 1e3  # how little is known of a clock's offset after a step
 SMALLEST_STD = 1e-6  # in noiseless recordings: relative for distances, rad for angles
 NEVER = -1  # snapshot after which a state is not met: it stays
@@ -64,7 +65,8 @@ class Motion(NamedTuple):
 @dataclass(frozen=True)
 class Views:
     """What all links share that see a VT in a snapshot, n views: loads of distance, azimuth and elevation on states,
-    `state` (n, 3, W) numbers, -1: none, `load` (n, 3, W). The VT's coordinates come first: `by_vt` (n, 3, 3)."""
+    `state` (n, 3, W) numbers, -1: none, `load` (n, 3, W). The VT's coordinates come first: `by_vt` (n, 3, 3). Those of
+    what illuminates it, if it is a scatterer, come last."""
 
     state: Ints
     load: Floats
@@ -108,8 +110,8 @@ class Sightings(NamedTuple):
 
 
 class Survey(NamedTuple):
-    """What a survey knows of n coordinates of VTs: `state` (n,) their numbers, `variance` (n,) in m^2, and `error` (n,)
-    as it was drawn, in m."""
+    """What is known of n coordinates of VTs beforehand, by a survey or nearly nothing: `state` (n,) their numbers,
+    `variance` (n,) in m^2, and `error` (n,) as it was drawn, in m."""
 
     state: Ints
     variance: Floats
@@ -254,21 +256,51 @@ def jumps(recording: Recording, truth: Truth, core: Core, F: Floats) -> Floats:
     return out
 
 
-def surveyed_vts(sites: Sites, truth: Truth) -> Ints:
-    """Return the rows (n,) of the VTs that are surveyed sites."""
+def known_vts(sites: Sites, truth: Truth) -> Ints:
+    """Return the rows (n,) of the VTs that have a prior: surveyed sites, scatterers that are measured, and what
+    illuminates these. Raises InputError where this is no VT."""
+    measured = np.bincount(truth.measurement_vt + 1, minlength=len(truth.vts) + 1)[1:] > 0
+    scatterers = np.flatnonzero(truth.vts.scatters & measured)
+    sources = truth.site_vts[np.unique(truth.vts.site[scatterers])]
+    if (sources < 0).any():
+        raise InputError("truth.vts has scatterers without the site that illuminates them: the bound needs it")
     vt = truth.site_vts[np.isfinite(sites.surveyed_m).all(axis=1)]
-    return vt[vt >= 0]
+    return np.unique(np.concatenate([vt[vt >= 0], sources, scatterers]))
 
 
 def survey_of(sites: Sites, truth: Truth, core: Core, number: Ints) -> Survey:
-    """Return the survey's prior of the VTs that are surveyed sites; `number` (V,) as for `linear_model`."""
-    vt = surveyed_vts(sites, truth)
+    """Return the prior of VTs: of sites that of their survey, of scatterers and of what illuminates them, if nobody
+    surveyed it, a broad one about the truth; `number` (V,) as for `linear_model`."""
+    vt = known_vts(sites, truth)
     site, state = truth.vts.site[vt], core.size + 3 * number[vt, None] + np.arange(3)
-    error = sites.surveyed_m[site] - truth.vts.position_m[vt]
-    return Survey(state.ravel(), sites.survey_std_m[site].ravel() ** 2, error.ravel())
+    surveyed = ~truth.vts.scatters[vt, None] & np.isfinite(sites.surveyed_m[site])
+    error = np.where(surveyed, sites.surveyed_m[site] - truth.vts.position_m[vt], 0.0)
+    std = np.where(surveyed, sites.survey_std_m[site], SCATTERED_STD_M)
+    return Survey(state.ravel(), std.ravel() ** 2, error.ravel())
 
 
 # ---- the measurements ------------------------------------------------------------------------------------------------
+
+
+class Geometry(NamedTuple):
+    """What is measured of n VTs, without clock offsets: `predicted` (n, 3), and its Jacobians by the VT (n, 3, 3), the
+    pose (n, 3, 6) and the position of the VT's site (n, 3, 3), which is zero unless the VT is a scatterer."""
+
+    predicted: Floats
+    by_vt: Floats
+    by_pose: Floats
+    by_site: Floats
+
+
+def geometry_of(truth: Truth, pose: Floats, vt: Ints) -> Geometry:
+    """Return what is measured of VTs (n,) from poses (n, 6); a scatterer p of a site t adds |p - t| to the distance."""
+    position = truth.vts.position_m[vt]
+    (by_vt, by_pose), predicted = jacobians(pose, position), predict(pose, position)
+    on = np.where(truth.vts.scatters[vt, None], position - truth.site_positions_m[truth.vts.site[vt]], 0.0)
+    excess_m, by_site = np.linalg.norm(on, axis=1), np.zeros_like(by_vt)
+    by_site[:, 0] = -on / np.maximum(excess_m, SMALLEST_STD)[:, None]
+    predicted[:, 0] += excess_m
+    return Geometry(predicted, by_vt - by_site, by_pose, by_site)
 
 
 def tracked_measurements(
@@ -283,22 +315,24 @@ def tracked_measurements(
     """
     m, vts = recording.measurements, max(len(truth.vts), 1)
     real = np.flatnonzero(truth.measurement_vt >= 0)
-    pose, position = truth.poses[m.snapshot[real]], truth.vts.position_m[truth.measurement_vt[real]]
     with np.errstate(divide="ignore", invalid="ignore"):
-        real = real[np.isfinite(np.concatenate(jacobians(pose, position), axis=-1)).all(axis=(1, 2))]
+        all_views = geometry_of(truth, truth.poses[m.snapshot[real]], truth.measurement_vt[real])
+    real = real[np.isfinite(np.concatenate(all_views[1:], axis=-1)).all(axis=(1, 2))]
     port, view = recording.links.port[m.link[real]], m.snapshot[real] * vts + truth.measurement_vt[real]
     _, at, of = np.unique(view * (port.max(initial=0) + 1) + port, return_index=True, return_inverse=True)
     snapshot, vt, port = m.snapshot[real[at]], truth.measurement_vt[real[at]], port[at]
     _, first_row = np.unique(vt, return_index=True)
 
     _, begin, view = np.unique(snapshot * vts + vt, return_index=True, return_inverse=True)
-    position = truth.vts.position_m[vt[begin]]
-    by_vt, by_pose = jacobians(truth.poses[snapshot[begin]], position)
-    predicted = predict(truth.poses[snapshot[begin]], position)
+    predicted, by_vt, by_pose, by_site = geometry_of(truth, truth.poses[snapshot[begin]], vt[begin])
     seen = Seen(snapshot[begin], predicted[:, 1], predicted[:, 2], view, vt, port)
     persisting = persisting_errors(recording, seen, calibrated, merging)
     offset = core.offsets[recording.links.site[m.link[real[at[begin]]]]]
     errors = core.size + 3 * numbers  # the number of the first of them
+    scatters, source = truth.vts.scatters[vt[begin]], number[truth.site_vts[truth.vts.site[vt[begin]]]]
+    if not scatters.any():
+        by_site = by_site[:, :, :0]
+    coordinates = np.where(scatters[:, None], core.size + 3 * source[:, None] + np.arange(3), -1)[:, : by_site.shape[2]]
     views = Views(
         state=np.concatenate(
             [
@@ -306,19 +340,20 @@ def tracked_measurements(
                 np.broadcast_to(np.arange(6), by_pose.shape),
                 np.broadcast_to(offset[:, None, None], (len(begin), 3, 1)),
                 np.where(persisting.state >= 0, errors + persisting.state, -1),
+                np.broadcast_to(coordinates[:, None], by_site.shape),
             ],
             axis=2,
             dtype=np.int32,
             casting="same_kind",
         ),
         load=np.concatenate(
-            [by_vt, by_pose, np.tile([[1.0], [0.0], [0.0]], (len(begin), 1, 1)), persisting.load], axis=2
+            [by_vt, by_pose, np.tile([[1.0], [0.0], [0.0]], (len(begin), 1, 1)), persisting.load, by_site], axis=2
         ),
     )
     at_view = view[of]
     white = _white_variance(recording, truth, real, predicted[at_view, 0], persisting.variance)
     variance, residual = _together(white, residuals(recording, truth, real, predicted[at_view]), of, len(at))
-    first = np.isin(np.arange(len(at)), first_row) & ~np.isin(vt, surveyed_vts(recording.sites, truth))
+    first = np.isin(np.arange(len(at)), first_row) & ~np.isin(vt, known_vts(recording.sites, truth))
     missing = np.where(first[:, None], BROAD_STD**2, np.inf)
     sightings = Sightings(
         rows=np.searchsorted(snapshot, np.arange(len(recording.time_s) + 1)), view_of=view,

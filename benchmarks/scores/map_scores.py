@@ -45,7 +45,7 @@ def map_gospa(recording: Recording, truth: Truth, vts: VtEstimate) -> float | No
 
     The truth of a link are the VTs detected at least 20 times on it. p = 2, cut-off 20 m, alpha = 2. A link
     with neither true nor estimated VTs counts 0; one with no estimated VT has the map of its site's first link that
-    has any, for the links of a site may share a map.
+    has any, for the links of a site may share a map. Scatterers and mirror images are no pairs, however near.
     """
     links, count = len(recording.links), len(truth.vts)
     if links == 0:
@@ -53,12 +53,11 @@ def map_gospa(recording: Recording, truth: Truth, vts: VtEstimate) -> float | No
     real = truth.measurement_vt >= 0
     pair = recording.measurements.link[real] * max(count, 1) + truth.measurement_vt[real]
     detections = np.bincount(pair, minlength=links * max(count, 1)).reshape(links, -1)[:, :count]
+    apart = cdist(truth.vts.position_m, vts.position_m)
+    apart[truth.vts.scatters[:, None] != vts.scatters] = np.inf
     distances = [
-        gospa(
-            truth.vts.position_m[detections[link] >= DETECTIONS_OF_A_TRUE_VT],
-            vts.position_m[vts.link == _keeper(vts.link, recording.links.site, link)],
-        )
-        for link in range(links)
+        gospa_of(apart[detections[link] >= DETECTIONS_OF_A_TRUE_VT][:, mine == vts.link])[0]
+        for link, mine in enumerate(_keeper(vts.link, recording.links.site, link) for link in range(links))
     ]
     return float(np.mean(distances))
 
@@ -144,14 +143,17 @@ def vt_nees(recording: Recording, vts: VtEstimate, association: Ints) -> Floats:
 
 
 def stand_for(recording: Recording, vts: VtEstimate, association: Ints) -> Ints:
-    """Return which true VT each final one (V,) stands for, -1: none; arguments and error as of `vt_nees`."""
+    """Return which true VT each final one (V,) stands for, -1: none, or a mirror image and a scatterer for each other;
+    arguments and error as of `vt_nees`."""
     truth, site = recording.truth, recording.links.site
     if truth is None:
         raise ValueError("a VT's error needs the truth")
     tracks = tracks_of(site[recording.measurements.link], association, truth.measurement_vt)
     known = {(s, i): v for s, i, v in zip(tracks.link.tolist(), tracks.id.tolist(), tracks.stands_for, strict=True)}
     keys = zip(site[vts.link].tolist(), vts.id.tolist(), strict=True)
-    return np.array([known.get(key, -1) for key in keys], np.int64)
+    vt = np.array([known.get(key, -1) for key in keys], np.int64)
+    same = np.append(truth.vts.scatters, False)[vt] == vts.scatters
+    return np.where((vt >= 0) & same, vt, -1)
 
 
 def transmitter_errors(recording: Recording, vts: VtEstimate, tracks: Tracks) -> Floats:

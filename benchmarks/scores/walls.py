@@ -82,7 +82,7 @@ def _facets(recording: Recording, truth: Truth) -> tuple[Floats, list[Floats]]:
     """Return azimuths (F,) of the normals of facets in rad, and where they reflected detected paths, (n, 2) in m."""
     m, vts = recording.measurements, truth.vts
     away = vts.position_m - truth.site_positions_m[vts.site]
-    vertical = (vts.order == 1) & (np.abs(away[:, 2]) <= STEEPEST * np.linalg.norm(away, axis=1))
+    vertical = (vts.order == 1) & ~vts.scatters & (np.abs(away[:, 2]) <= STEEPEST * np.linalg.norm(away, axis=1))
     rows = np.flatnonzero(truth.measurement_vt >= 0)
     rows = rows[vertical[truth.measurement_vt[rows]]]
     vt, when = np.unique(np.stack([truth.measurement_vt[rows], m.snapshot[rows]]), axis=1)

@@ -160,6 +160,13 @@ class RadioConfig(BaseModel):
     persisting_clutter: bool = Field(
         False, description="clutter and missed paths last as at signal level (false: redrawn for each snapshot)"
     )
+    scatterers: float = Field(
+        0.0,
+        ge=0.0,
+        le=20.0,
+        exclude_if=lambda density: density == 0.0,
+        description="points that scatter, for each 100 m of wall: features that persist and are no mirrors (0: none)",
+    )
     ghost_rule_db: float = Field(
         25.0,
         ge=0.0,

@@ -24,13 +24,14 @@ DIFFRACTED = MAX_ORDER + 1
 class Paths(Described):
     """Paths (P,), sorted by receiver, transmitter, order, facets; world frame, isotropic antennas.
 
-    `receiver`, `transmitter` index what was traced; `order` counts reflections, a diffraction being one more;
-    `facets` (P, 2), from the transmitter on, -1 none, -2 and below a vehicle (`sim/traffic/obstacles.py`); `edge`
-    (P,), the diffracting edge of `Scene.edges`, -1 none; `points_m` (P, 2, 3), the specular points, NaN none;
-    `vt_position_m` (P, 3), the image from which the path seems to come (of a diffracted path it moves with the
-    receiver); `length_m`; arrival angles as seen from the receiver towards the VT, departure angles as seen from the
-    transmitter; `gain` (P, 2, 2) complex: row the receiver's and column the transmitter's (H, V) polarisation, each H
-    and V being the unit vectors of growing azimuth and elevation of that end's own direction; free space and
+    `receiver`, `transmitter` index what was traced; `order` counts reflections, a diffraction or scattering being one
+    more; `facets` (P, 2), from the transmitter on, -1 none, -2 and below a vehicle (`sim/traffic/obstacles.py`), in the
+    second column a scatterer (`scattering`); `edge` (P,), the diffracting edge of `Scene.edges`, -1 none; `points_m`
+    (P, 2, 3), the specular or scattering points, NaN none; `vt_position_m` (P, 3), the image from which the path seems
+    to come (of a diffracted or scattered path it moves with the receiver); `length_m`; arrival angles as seen from the
+    receiver towards the VT, departure angles as seen from the transmitter; `gain` (P, 2, 2) complex: row the receiver's
+    and column the transmitter's (H, V) polarisation, each H and V being the unit vectors of growing azimuth and
+    elevation of that end's own direction; free space and
     reflections included, propagation phase exp(-2j pi length / wavelength) left out.
     """
 

@@ -78,6 +78,13 @@ class Scene(Described):
         """Return the index of the triangle that each of these rays meets first within its `reach`, -1 none."""
         return self._cast(origins, targets, reach, "INTERSECT")
 
+    def free(self, start_m: Floats, end_m: Floats) -> NDArray[np.bool_]:
+        """Return whether no building is between points (n, 3) and (n, 3) of the world, in m; the last millimetre is
+        left out."""
+        away = np.linalg.norm(end_m - start_m, axis=1)
+        reach = np.maximum(1.0 - CLEARANCE_M / np.maximum(away, CLEARANCE_M), 0.0)
+        return self.unobstructed(start_m - self.origin_m, end_m - self.origin_m, reach)
+
     def _cast(
         self, origins: Floats, targets: Floats, reach: Floats, query: Literal["OCCLUDED", "INTERSECT"]
     ) -> NDArray[np.int64]:

@@ -132,6 +132,7 @@ COLUMNS = (
     Column("truth/vts/site", ("V",), kind="int"),
     Column("truth/vts/order", ("V",), kind="int"),
     Column("truth/vts/facets", ("V", 2), kind="int", labels=("first", "second")),
+    Column("truth/vts/scatterer", ("V",), kind="int", optional=True),
     Column("truth/vts/visible", ("I", 3), kind="int", labels=("vt", "first_snapshot", "last_snapshot")),
     Column("truth/site_positions_m", ("S", 3), "m", labels=_XYZ, rule="finite"),
     Column("truth/clock_offsets_m", ("S",), "m", rule="finite"),

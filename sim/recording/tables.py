@@ -145,7 +145,9 @@ class VirtualTransmitters(Described):
     """The VTs that the drive meets. A line-of-sight transmitter is one too, of order 0.
 
     `position_m` (V, 3); `site` (V,); `order` (V,); `facets` (V, 2), -1 where there is none; `visible` (I, 3): rows of
-    VT, first and last snapshot of an interval in which the path exists (detected or not).
+    VT, first and last snapshot of an interval in which the path exists (detected or not). `scatterer` (V,): 1 for
+    scatterers, points where paths bend on their way from the site, 0 for mirror images (None: there are no scatterers);
+    the site of a scatterer is a VT, too.
     """
 
     position_m: Floats
@@ -153,6 +155,12 @@ class VirtualTransmitters(Described):
     order: Ints
     facets: Ints
     visible: Ints
+    scatterer: Ints | None = None
+
+    @property
+    def scatters(self) -> NDArray[np.bool_]:
+        """Which VTs (V,) are scatterers."""
+        return np.zeros(len(self), np.bool_) if self.scatterer is None else self.scatterer == 1
 
     def __len__(self) -> int:
         return len(self.site)

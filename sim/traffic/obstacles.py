@@ -75,19 +75,10 @@ def reflected_paths(
         rows, point, normal = mirror_points(
             transmitter, receivers_m, steps, traffic.poses, LONGEST_STEP_M, traffic.size_m, mirrors
         )
-        free = _free(scene, receivers_m[rows[:, 0]], point) & _free(scene, point, transmitter)
+        free = scene.free(receivers_m[rows[:, 0]], point)
+        free &= scene.free(point, np.broadcast_to(transmitter, point.shape))
         out.append(_described(site, transmitter, receivers_m, rows[free], point[free], normal[free], carrier_hz))
     return out
-
-
-def _free(scene: Scene, start_m: Floats, end_m: Floats) -> NDArray[np.bool_]:
-    """Return whether no building is between points (n, 3)."""
-    from cellslam.sim.rays.scene import CLEARANCE_M
-
-    away = np.linalg.norm(end_m - start_m, axis=1)
-    reach = np.maximum(1.0 - CLEARANCE_M / np.maximum(away, CLEARANCE_M), 0.0)
-    ends = np.broadcast_to(end_m, start_m.shape)
-    return scene.unobstructed(start_m - scene.origin_m, ends - scene.origin_m, reach)
 
 
 def _described(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, held, wrap_angle
 from cellslam.sim.lte.faults import walk_densities
 from cellslam.sim.progress import Progress, silent
-from cellslam.sim.recording import Ints, Links, Recording, Sites, Truth, Vehicles, VirtualTransmitters
+from cellslam.sim.recording import Floats, Ints, Links, Recording, Sites, Truth, Vehicles, VirtualTransmitters
 from cellslam.sim.world.world import Reception, WorldConfig, prepare
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ def recorded(
     if reports is not None:
         detections = as_reported(detections, reports)
     vts, path_vt = virtual_transmitters(paths, free)
+    vts = with_sites(vts, world.sites_m)
     measurement_vt = np.where(detections.path >= 0, path_vt[detections.path] if len(path_vt) else -1, -1)
     true_std = np.where(measurement_vt[:, None] >= 0, detections.true_std, np.nan)
     truth = Truth(
@@ -95,6 +96,7 @@ def recorded(
         start_std=np.array(config.vehicle.start_std, np.float64),
         provenance=provenance(config, world.seed, world.trial),
         truth=truth,
+        scatterers=config.radio.scatterers > 0.0,
     )
     return recording, detections
 
@@ -138,6 +140,7 @@ def virtual_transmitters(paths: Paths, free: NDArray[np.bool_] | None = None) ->
     """Return the VTs of a drive's paths, one per (site, facets), with their visible intervals, and the VT of each path
     (P,), -1 if a vehicle reflects it. `free` (P,): which paths exist, None for all; a VT may have none of these.
     """
+    from cellslam.sim.rays.scattering import scatterer_of
     from cellslam.sim.traffic import reflecting_vehicle
 
     still = np.flatnonzero(reflecting_vehicle(paths.facets) < 0)
@@ -146,14 +149,32 @@ def virtual_transmitters(paths: Paths, free: NDArray[np.bool_] | None = None) ->
     path_vt = np.full(len(paths), -1, np.int64)
     path_vt[still], first = inverse.reshape(-1), still[first]
     exists = (path_vt >= 0) & (True if free is None else free)
+    scatters = scatterer_of(paths.facets[first]) >= 0
     vts = VirtualTransmitters(
-        position_m=paths.vt_position_m[first],
+        position_m=np.where(scatters[:, None], paths.points_m[first, 0], paths.vt_position_m[first]),
         site=paths.transmitter[first].astype(np.int64),
         order=paths.order[first].astype(np.int64),
         facets=paths.facets[first].astype(np.int64),
         visible=visible_intervals(path_vt[exists], paths.receiver[exists]),
+        scatterer=scatters.astype(np.int64) if scatters.any() else None,
     )
     return vts, path_vt
+
+
+def with_sites(vts: VirtualTransmitters, sites_m: Floats) -> VirtualTransmitters:
+    """Return VTs and, where points scatter, the sites (S, 3) in m that no line of sight leads to: they illuminate."""
+    if vts.scatterer is None:
+        return vts
+    hidden = np.setdiff1d(np.unique(vts.site[vts.scatterer == 1]), vts.site[vts.order == 0])
+    none = np.zeros(len(hidden), np.int64)
+    return VirtualTransmitters(
+        position_m=np.concatenate([vts.position_m, sites_m[hidden]]),
+        site=np.append(vts.site, hidden),
+        order=np.append(vts.order, none),
+        facets=np.concatenate([vts.facets, np.full((len(hidden), 2), -1)]),
+        visible=vts.visible,
+        scatterer=np.append(vts.scatterer, none),
+    )
 
 
 def visible_intervals(vt: Ints, snapshot: Ints) -> Ints:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from cellslam.sim.lte.statistical.measurement_kernel import Fields
     from cellslam.sim.lte.statistical.statistical_front_end import Detections
     from cellslam.sim.rays import Paths, Scene
+    from cellslam.sim.rays.scattering import Scatterers
     from cellslam.sim.traffic import Blocked, Traffic
     from cellslam.sim.vehicle import Drive, Odometry
     from cellslam.sim.vehicle.route import Route
@@ -130,33 +131,38 @@ class Reception:
 
 @dataclass(frozen=True)
 class World(Reception):
-    """One trial's world, ready to be measured. `traffic`: other vehicles, None without any."""
+    """One trial's world, ready to be measured. `traffic`: other vehicles, `scatterers`: points that scatter; None
+    without any."""
 
     scene: Scene
     traffic: Traffic | None
+    scatterers: Scatterers | None
 
     def trace(self, poses: Floats, snapshots: Ints | Floats, progress: Progress = silent) -> tuple[Paths, Blocked]:
         """Return the paths from every site to every one of `poses` (T, 6), in m and rad, and which of them vehicles
         block, being where they are at `snapshots` (T,), which may lie between two."""
         from cellslam.sim.rays import trace
         from cellslam.sim.rays.paths import joined
+        from cellslam.sim.rays.scattering import scattered_paths
         from cellslam.sim.traffic import blocked_paths, reflected_paths
 
-        city = self.config.city
+        city, carrier = self.config.city, self.config.radio.carrier_hz
         receivers_m = np.ascontiguousarray(poses[:, :3])
         paths = trace(
             self.scene,
             self.sites_m,
             receivers_m,
             city.max_order,
-            carrier_hz=self.config.radio.carrier_hz,
+            carrier_hz=carrier,
             ground_reflection=city.ground_reflection,
             diffraction=city.diffraction,
             progress=progress,
         )
+        if self.scatterers is not None:
+            more = scattered_paths(self.scatterers, self.scene, self.sites_m, receivers_m, carrier)
+            paths = joined([paths, *more])
         time_s = np.asarray(snapshots, np.float64) * self.config.vehicle.snapshot_interval_s
         if self.traffic is not None and self.config.traffic.reflect:
-            carrier = self.config.radio.carrier_hz
             more = reflected_paths(self.traffic, self.scene, self.sites_m, receivers_m, time_s, carrier)
             paths = joined([paths, *more])
         factor = self.config.radio.path_gain_factor(paths.length_m, paths.order)
@@ -218,6 +224,7 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
     route and sites it has (None: its own). Raises InputError where they do not fit.
     """
     from cellslam.sim.lte.sites import place_sites
+    from cellslam.sim.rays.scattering import draw_scatterers
     from cellslam.sim.traffic import draw_traffic
     from cellslam.sim.vehicle import drive
 
@@ -232,8 +239,12 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
         rng = stream(seed, trial, Stream.TRAFFIC)
         traffic = draw_traffic(config.traffic, scene.city, route, driven, config.vehicle, rng)
         advance(1)
+    scatterers = None
+    if config.radio.scatterers > 0.0:
+        rng = stream(*_city_root(config, seed, where), Stream.SCATTERERS)
+        scatterers = draw_scatterers(scene, config.radio.scatterers, rng)
     reception = draw_reception(config, seed, trial, sites_m, driven, place)
-    return World(**vars(reception), scene=scene, traffic=traffic)
+    return World(**vars(reception), scene=scene, traffic=traffic, scatterers=scatterers)
 
 
 def city_and_route(config: WorldConfig, seed: int, trial: int) -> tuple[Scene, Route]:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 from cellslam.sim import WorldConfig, prepare, simulate
-from cellslam.sim.recording import Recording
-from cellslam.sim.world.drive_to_recording import visible_intervals
+from cellslam.sim.recording import Recording, VirtualTransmitters
+from cellslam.sim.world.drive_to_recording import visible_intervals, with_sites
 from cellslam.slam.model.measurement_model import predict
 from tests.sim.recording.test_hdf5 import assert_identical
 
@@ -86,6 +88,62 @@ def test_without_noise_the_truth_predicts_every_measurement() -> None:
     # Every path is measured on every link of its site: 2 cells x 2 ports.
     seen = truth.vts.visible
     assert len(m) == 4 * (seen[:, 2] - seen[:, 1] + 1).sum()
+
+
+def test_without_noise_the_truth_predicts_the_measurements_of_scatterers() -> None:
+    r = simulate(small_world(noise_scale=0.0, clutter_scale=0.0, perfect_detection=True, scatterers=3.0), 1, 0)
+    m, truth = r.measurements, r.truth
+    assert truth is not None and r.scatterers
+    vt = truth.measurement_vt
+    assert (vt >= 0).all() and truth.vts.scatters[vt].sum() > 1000 and (~truth.vts.scatters[vt]).sum() > 1000
+    exact = predict(truth.poses[m.snapshot], truth.vts.position_m[vt])
+    to_site = np.linalg.norm(truth.vts.position_m - truth.site_positions_m[truth.vts.site], axis=1)
+    exact[:, 0] += np.where(truth.vts.scatters, to_site, 0.0)[vt] + truth.clock_offsets_m[r.links.site[m.link]]
+    measured = np.stack([m.distance_m, m.azimuth_rad, m.elevation_rad], axis=1)
+    np.testing.assert_allclose(measured, exact, atol=1e-9)
+    seen = truth.vts.visible
+    assert len(m) == 4 * (seen[:, 2] - seen[:, 1] + 1).sum()
+    assert np.unique(np.column_stack([truth.vts.site, truth.vts.facets]), axis=0).shape[0] == len(truth.vts)
+
+
+def test_scatterers_are_those_of_the_city_and_change_nothing_else(recording: Recording) -> None:
+    """Nothing in a world says that there are none; the other draws are those of the world without; another drive meets
+    the same points."""
+    assert "scatterers" not in small_world(scatterers=0.0).radio.model_dump()
+    config, truth = small_world(scatterers=3.0), recording.truth
+    one, other = simulate(config, 1, 0), simulate(config, 2, 5)
+    assert truth is not None and one.truth is not None and other.truth is not None
+    assert not recording.scatterers and truth.vts.scatterer is None
+    np.testing.assert_array_equal(one.odometry, recording.odometry)
+    np.testing.assert_array_equal(one.start_pose, recording.start_pose)
+    np.testing.assert_array_equal(one.truth.clock_offsets_m, truth.clock_offsets_m)
+    mirrors = one.truth.vts.position_m[~one.truth.vts.scatters]
+    np.testing.assert_array_equal(mirrors, truth.vts.position_m)
+    ours, theirs = (t.vts.position_m[t.vts.scatters] for t in (one.truth, other.truth))
+    assert len(ours) > 5 and len(np.unique(np.concatenate([ours, theirs]), axis=0)) < 1.3 * max(len(ours), len(theirs))
+    all_m = prepare(config, 1, 0).scatterers
+    assert all_m is not None and (np.abs(ours[:, None] - all_m.position_m).sum(axis=2).min(axis=1) == 0.0).all()
+    visible = one.truth.vts.visible[one.truth.vts.scatters[one.truth.vts.visible[:, 0]]]
+    assert np.median(visible[:, 2] - visible[:, 1]) * 0.075 > 5.0  # s, at 0.9 m/s
+
+
+def test_a_site_that_illuminates_is_a_vt_though_no_line_of_sight_leads_to_it() -> None:
+    none = np.zeros((0, 3), np.int64)
+    facets = np.array([[-1, -2], [-1, -1], [3, -1]])
+    vts = VirtualTransmitters(np.eye(3), np.array([1, 0, 2]), np.array([1, 0, 1]), facets, none, np.array([1, 0, 0]))
+    more = with_sites(vts, np.arange(9.0).reshape(3, 3))
+    assert more.site.tolist() == [1, 0, 2, 1] and more.order.tolist() == [1, 0, 1, 0]
+    assert more.position_m[3].tolist() == [3.0, 4.0, 5.0] and more.scatters.tolist() == [True, False, False, False]
+    assert with_sites(replace(vts, scatterer=None), np.eye(3)).scatterer is None
+
+
+def test_scatterers_are_saved_and_only_where_there_are_some(recording: Recording, tmp_path: Path) -> None:
+    with_some = simulate(small_world(scatterers=2.0), 1, 0)
+    for r, name in ((with_some, "some"), (recording, "none")):
+        r.save(tmp_path / name)
+        assert_identical(r, Recording.load(tmp_path / name))
+        with h5py.File(tmp_path / name) as file:
+            assert ("truth/vts/scatterer" in file) == (name == "some")
 
 
 @pytest.mark.slow

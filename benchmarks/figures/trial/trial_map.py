@@ -71,9 +71,10 @@ class Reflector:
 def draw(figure: Figure, city: City | None, recording: Recording, results: Mapping[str, TrialResult]) -> bool:
     """Draw the whole scene on the left, the drive magnified on the right; False if there is nothing.
 
-    The scene of a simulated drive has sites and reflecting points, that of a measured one the final VTs; where that is
-    hardly larger than the drive, it is drawn alone. Both are those of the first result with VTs, walls those of the
-    first with walls. The building that carries the longest-lived reflected VT is drawn darker.
+    The scene of a simulated drive has sites and reflecting points, that of a measured one the final mirror images;
+    where that is hardly larger than the drive, it is drawn alone. Both, and scatterers, are those of the first result
+    with VTs, walls those of the first with walls. True scatterers are drawn where they were measured. The building that
+    carries the longest-lived reflected VT is drawn darker.
     """
     tracks = {name: result.poses for name, result in results.items()}
     truth = recording.truth
@@ -82,6 +83,7 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
     mapped = next((reflectors_of(recording, r) for r in results.values() if r.vts is not None), [])
     drive = _square(_driven(recording, tracks))
     vts = _final_vts(results, drive) if truth is None else {}
+    scatterers = _scatterers(recording, results, drive)
     sites = truth.site_positions_m[:, :2] if truth is not None else np.zeros((0, 2))
     seen = [sites, *(reflector.points_m[:, :2] for reflector in mapped), *vts.values()]
     scene = _square(np.concatenate([_driven(recording, tracks), *(poses[:, :2] for poses in tracks.values()), *seen]))
@@ -94,6 +96,8 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
         _longest_path(axes, mapped)
         for name, place in vts.items():
             axes.plot(*place.T, "x", color=VT, markersize=3, markeredgewidth=0.7, label=f"VTs of {name}")
+        for label, marker, place in scatterers:
+            axes.plot(*place.T, **marker, markersize=5, markeredgewidth=0.8, linestyle="none", zorder=3.5, label=label)
         _walls(axes, results)
         _trajectories(axes, recording, tracks)
         _traffic(axes, recording)
@@ -125,14 +129,37 @@ def _driven(recording: Recording, tracks: Mapping[str, Floats]) -> Floats:
 
 
 def _final_vts(results: Mapping[str, TrialResult], drive: Extent) -> dict[str, Floats]:
-    """Return horizontal positions (V, 2) of the first result's VTs, by its name; without those five times as far off as
-    half of them."""
+    """Return horizontal positions (V, 2) of the first result's mirror images, by its name; without those five times as
+    far off as half of them."""
     for name, result in results.items():
         if result.vts is not None and len(result.vts.id):
-            place = result.vts.position_m[:, :2]
-            off = np.hypot(*(place - np.mean(drive, axis=1)).T)
-            return {name: place[off <= FAR * max(float(np.median(off)), float(np.ptp(drive[0])))]}
+            return {name: _near(result.vts.position_m[~result.vts.scatters, :2], drive)}
     return {}
+
+
+def _near(place: Floats, drive: Extent) -> Floats:
+    """Return those of the positions (n, 2) that are not five times as far off as half of them."""
+    off = np.hypot(*(place - np.mean(drive, axis=1)).T)
+    farthest = FAR * max(float(np.median(off)), float(np.ptp(drive[0]))) if len(off) else 0.0
+    return np.asarray(place[off <= farthest])
+
+
+def _scatterers(
+    recording: Recording, results: Mapping[str, TrialResult], drive: Extent
+) -> list[tuple[str, dict[str, Any], Floats]]:
+    """Return label, marker and horizontal positions (n, 2) of the true scatterers that were measured, and of those of
+    the first result with VTs."""
+    out = []
+    if recording.truth is not None:
+        vts, measured = recording.truth.vts, np.unique(recording.truth.measurement_vt)
+        place = vts.position_m[np.intersect1d(np.flatnonzero(vts.scatters), measured), :2]
+        out.append(("true scatterers", {"marker": "o", "markerfacecolor": "none", "color": TRUTH}, place))
+    for name, result in results.items():
+        if result.vts is not None and len(result.vts.id):
+            place = _near(result.vts.position_m[result.vts.scatters, :2], drive)
+            out.append((f"scatterers of {name}", {"marker": "+", "color": VT}, place))
+            break
+    return [one for one in out if len(one[2])]
 
 
 def _walls(axes: Axes, results: Mapping[str, TrialResult]) -> None:
@@ -250,7 +277,8 @@ def site_estimates(recording: Recording, result: TrialResult, tracks: Tracks) ->
 
 
 def reflectors_of(recording: Recording, result: TrialResult) -> list[Reflector]:
-    """Return the reflectors of a result's final VTs, longest-lived first; none without truth, VTs or associations.
+    """Return the reflectors of a result's final mirror images, longest-lived first; none without truth, VTs or
+    associations.
 
     Truth serves only to tell which VTs are sites. Vehicle positions are the estimated ones.
     """
@@ -261,7 +289,7 @@ def reflectors_of(recording: Recording, result: TrialResult) -> list[Reflector]:
     sites = site_estimates(recording, result, tracks)
     interval_s = duration_s(recording) / len(recording.time_s)
     found = []
-    for k in range(len(vts.id)):
+    for k in np.flatnonzero(~vts.scatters):
         track = np.flatnonzero((tracks.link == vts.link[k]) & (tracks.id == vts.id[k]))
         site = int(recording.links.site[vts.link[k]])
         near = np.linalg.norm(vts.position_m[k] - sites[site]) < LINE_OF_SIGHT_M

@@ -43,7 +43,8 @@ def shown(recording: Recording, result: TrialResult | None) -> Shown:
         of_vts = truth.measurement_vt >= 0
         pairs = np.unique(np.column_stack([recording.measurements.link, truth.measurement_vt])[of_vts], axis=0)
         link, vt = pairs.T if len(pairs) else (none, none)
-        vts = VtEstimate(vt, link, truth.vts.position_m[vt], np.zeros((len(vt), 3, 3)))
+        kind = None if truth.vts.scatterer is None else truth.vts.scatterer[vt]
+        vts = VtEstimate(vt, link, truth.vts.position_m[vt], np.zeros((len(vt), 3, 3)), kind)
         return Shown("truth", recording.time_s, truth.poses, vts)
     if reference is None:
         raise InputError("the recording has neither truth nor reference: say which --estimator to export")

@@ -93,6 +93,8 @@ def _truth_tables(r: Recording) -> Tables:
         out["truth_sites"]["clock_drift_m_s"] = t.clock_drift_m_s
     position = dict(zip(POSITION, t.vts.position_m.T, strict=True))
     out["truth_vts"] = {"site": t.vts.site, "order": t.vts.order, **position}
+    if t.vts.scatterer is not None:
+        out["truth_vts"]["scatterer"] = t.vts.scatterer
     return out
 
 

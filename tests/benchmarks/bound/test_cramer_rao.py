@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.bound.cramer_rao import Joint, bound
-from cellslam.benchmarks.bound.linear_model import pose_jacobians
+from cellslam.benchmarks.bound.linear_model import geometry_of, pose_jacobians
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import integrate_pose, mean_velocity
 from cellslam.sim.recording import Recording
+from cellslam.slam.model.measurement_model import predict
 from tests.benchmarks.bound.joint_filter import JointFilter, apart
 
 
@@ -66,6 +67,70 @@ def test_the_more_exact_a_survey_is_the_lower_is_the_bound(make_recording):
         assert stds == sorted(stds) and stds[0] < 0.999 * stds[2]
     assert found[1].clock_offset_std_m[-1, 0] == pytest.approx(1.0, abs=0.3)  # that of the survey
     assert found[3].position_rmse_m == pytest.approx(without.position_rmse_m, rel=1e-3)
+
+
+def scattering(recording: Recording, chosen: list[int]) -> Recording:
+    """A copy in which some VTs, not those of order 0, are scatterers of their sites."""
+    truth, m = recording.truth, recording.measurements
+    assert truth is not None
+    kind = np.isin(np.arange(len(truth.vts)), chosen).astype(np.int64)
+    site_m = truth.vts.position_m[np.searchsorted(truth.vts.site, np.arange(len(recording.sites)))]
+    excess_m = kind * np.linalg.norm(truth.vts.position_m - site_m[truth.vts.site], axis=1)
+    truth = replace(truth, vts=replace(truth.vts, scatterer=kind), site_positions_m=site_m)
+    further = np.where(truth.measurement_vt >= 0, excess_m[truth.measurement_vt], 0.0)
+    return replace(recording, truth=truth, measurements=replace(m, distance_m=m.distance_m + further))
+
+
+@pytest.mark.parametrize("survey_std_m", [None, 3.0])
+def test_scatterers_are_states_and_so_is_the_site_that_illuminates_them(make_recording, survey_std_m):
+    recording = scattering(make_recording(seed=3, snapshots=60, vts_per_site=4, detection=0.5), [1, 3, 6])
+    if survey_std_m is not None:
+        recording = surveyed(recording, survey_std_m)
+    plain = JointFilter(recording)
+    pose, offset, error = plain.run()
+    result = bound(recording)
+    assert apart(result.pose_covariance, pose) < 1e-5
+    np.testing.assert_allclose(result.clock_offset_std_m, offset, rtol=1e-5)
+    np.testing.assert_allclose(result.pose_error, error, rtol=1e-3, atol=1e-6)
+    # What is measured is what the truth predicts, but for white noise.
+    s = plain.drive.sightings
+    normalised = s.residual[:, 0] ** 2 / s.variance[:, 0]
+    assert normalised[np.isfinite(s.variance[:, 0])].mean() == pytest.approx(1.0, abs=0.2)
+
+
+def test_jacobians_of_scatterers_agree_with_finite_differences(make_recording):
+    recording = scattering(make_recording(seed=3, snapshots=12, vts_per_site=4), [1, 3])
+    truth, vt = recording.truth, np.arange(8)
+    pose = truth.poses[:8]
+    geometry = geometry_of(truth, pose, vt)
+    away = truth.vts.position_m[[1, 3]] - truth.site_positions_m[0]
+    direct = predict(pose, truth.vts.position_m)[:, 0]
+    more = np.zeros(8)
+    more[[1, 3]] = np.linalg.norm(away, axis=1)
+    np.testing.assert_allclose(geometry.predicted[:, 0], direct + more)
+    assert not geometry.by_site[[0, 2, 4, 5, 6, 7]].any() and not geometry.by_site[:, 1:].any()
+    for c in range(3):
+        step = 1e-4 * np.eye(3)[c]
+        by_vt, by_site = [], []
+        for sign in (1.0, -1.0):
+            moved = replace(truth, vts=replace(truth.vts, position_m=truth.vts.position_m + sign * step))
+            by_vt.append(geometry_of(moved, pose, vt).predicted)
+            moved = replace(truth, site_positions_m=truth.site_positions_m + sign * step)
+            by_site.append(geometry_of(moved, pose, vt).predicted)
+        np.testing.assert_allclose(geometry.by_vt[..., c], (by_vt[0] - by_vt[1]) / 2e-4, atol=1e-7)
+        np.testing.assert_allclose(geometry.by_site[..., c], (by_site[0] - by_site[1]) / 2e-4, atol=1e-7)
+
+
+def test_a_scatterer_tells_more_with_its_site_and_without_a_vt_there_is_no_bound(make_recording):
+    recording = scattering(make_recording(seed=3, snapshots=120, vts_per_site=3), [1, 2, 4, 5])
+    truth = recording.truth
+    mirrors = ~truth.vts.scatters[truth.measurement_vt] | (truth.measurement_vt < 0)
+    with_all, without = bound(recording), bound(keep_rows(recording, mirrors))
+    assert (with_all.horizontal_std_m <= without.horizontal_std_m + 1e-9).all()
+    assert with_all.position_rmse_m < 0.99 * without.position_rmse_m
+    elsewhere = replace(truth, site_positions_m=truth.site_positions_m + 1.0)
+    with pytest.raises(InputError, match="without the site"):
+        bound(replace(recording, truth=elsewhere))
 
 
 def test_absent_components_carry_no_information(make_recording):

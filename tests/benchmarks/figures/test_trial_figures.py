@@ -161,3 +161,24 @@ def test_map_of_a_measured_drive_shows_the_estimated_vts_or_the_drive_alone(scen
     np.testing.assert_allclose(np.column_stack(vts.get_data()), scene.results["fastslam"].vts.position_m[:, :2])
     assert overview.draw(alone, None, measured(scene), {"dead-reckoning": scene.results["dead-reckoning"]})
     assert (len(figure.axes), len(alone.axes)) == (2, 1)
+
+
+def test_scatterers_have_a_marker_of_their_own_and_no_reflecting_points(scene):
+    truth, slam = scene.recording.truth, scene.results["fastslam"]
+    vts, found = (
+        dataclasses.replace(x, scatterer=np.array(kind)) for x, kind in ((truth.vts, [0, 1]), (slam.vts, [0, 1, 0, 1]))
+    )
+    recording = dataclasses.replace(scene.recording, truth=dataclasses.replace(truth, vts=vts))
+    results = {"fastslam": dataclasses.replace(slam, vts=found)}
+    figure = Figure()
+    assert overview.draw(figure, None, recording, results)
+    lines = {line.get_label(): line for line in figure.axes[0].lines}
+    true, estimated = lines["true scatterers"], lines["scatterers of fastslam"]
+    np.testing.assert_allclose(np.column_stack(true.get_data()), truth.vts.position_m[[1], :2])
+    np.testing.assert_allclose(np.column_stack(estimated.get_data()), slam.vts.position_m[[1, 3], :2])
+    assert true.get_marker() != estimated.get_marker()
+    assert {"true scatterers", "scatterers of fastslam"} <= {t.get_text() for t in figure.legends[0].get_texts()}
+    assert overview.reflectors_of(recording, results["fastslam"]) == []
+    figure = Figure()
+    assert overview.draw(figure, None, scene.recording, scene.results)
+    assert not any("scatterers" in t.get_text() for t in figure.legends[0].get_texts())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.bound.cramer_rao import BoundResult
-from cellslam.benchmarks.scores.map_scores import precision_recall, tracks_of
+from cellslam.benchmarks.scores.map_scores import precision_recall, stand_for, tracks_of
 from cellslam.benchmarks.scores.metrics import METRIC_KEYS, distance_m, nees, score
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.scores.walls import true_walls
@@ -155,6 +155,22 @@ def test_links_of_a_site_may_share_a_map(make_recording):
     alone = dataclasses.replace(whole.vts, position_m=whole.vts.position_m + 1e3 * (whole.vts.link == 1)[:, None])
     far = score(recording, dataclasses.replace(whole, vts=alone), None)["map_gospa_m"]
     assert far == pytest.approx(np.sqrt(2.0) * missed[1] / 4)
+
+
+def test_scatterers_are_compared_with_scatterers_and_mirror_images_with_mirror_images(make_recording):
+    recording = make_recording(seed=5, sites=1, ports=1, vts_per_site=4, snapshots=60, clutter=0.0)
+    kind = np.array([0, 0, 1, 1])
+    truth = dataclasses.replace(recording.truth, vts=dataclasses.replace(recording.truth.vts, scatterer=kind))
+    recording = dataclasses.replace(recording, truth=truth)
+    whole = perfect(recording)
+    assert whole.vts.id.tolist() == [0, 1, 2, 3]
+    for found, wrong in ((kind, 0), (1 - kind, 4), (np.array([0, 1, 1, 1]), 1), (None, 2)):
+        vts = dataclasses.replace(whole.vts, scatterer=found)
+        result = dataclasses.replace(whole, vts=vts)
+        # Each is a truth missed and a false estimate.
+        assert score(recording, result, None)["map_gospa_m"] == pytest.approx(np.sqrt(wrong * 400.0))
+        same = kind == (np.zeros(4) if found is None else found)
+        assert stand_for(recording, vts, whole.association).tolist() == np.where(same, np.arange(4), -1).tolist()
 
 
 def test_association_of_a_hundred_thousand_measurements_is_fast():
