@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.recordings.importing.campaign import PARTS_OF_SHEET, NOTHING, Campaign, ReferenceTable, build
+from cellslam.recordings.importing.campaign import NOTHING, PARTS_OF_SHEET, Campaign, ReferenceTable, build
 from cellslam.recordings.importing.columns import ATTITUDE, POSITION, Table, read_table
 from cellslam.recordings.importing.geodesy import projected
 from cellslam.recordings.importing.manifest import NAME, DriveTable, Link, Manifest, ReferenceFile, load_manifest
