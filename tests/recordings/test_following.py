@@ -1,4 +1,4 @@
-"""A vehicle that follows what it is commanded: its time constant is learnt where there is one, and nothing where not."""
+"""A commanded vehicle: the time constant with which it follows is learnt where there is one, and none where not."""
 
 from __future__ import annotations
 
