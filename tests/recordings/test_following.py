@@ -11,9 +11,13 @@ import pytest
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.recordings import build
+from cellslam.recordings.fitting.assumptions import changed_sheet
 from cellslam.recordings.fitting.fit_sizes import in_words, learn, toml
 from cellslam.scenarios.estimator_options import resolve
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import followed
 from cellslam.sim.recording import COMPONENTS, Recording
+from cellslam.slam.api import odometry_of
 from tests.recordings.mistaken_worlds import STEP_S, Floats, campaign, odometry, paths, way_through
 
 
@@ -43,6 +47,32 @@ def followed_by_euler(commands: Floats, tau_s: float) -> Floats:
         if k % fine == fine - 1:
             poses.append((x, y, heading))
     return np.array(poses)
+
+
+def test_a_step_is_followed_as_its_closed_form() -> None:
+    """From 1 to 3 at t = 0: v = 3 - 2 exp(-t / tau), distance 3 t - 2 tau (1 - exp(-t / tau)), at any intervals."""
+    dt_s = np.array([0.0, 0.5, 0.1, 0.3, 0.02, 1.2])
+    u = np.repeat([[0.0], [1.0], [3.0], [3.0], [3.0], [3.0]], 6, axis=1)
+    tau = np.array([0.4, 0.0, 0.0, 0.2, 0.0, 0.0])
+    found, t = followed(u, dt_s, tau), np.cumsum(dt_s[2:])
+    for i in (0, 3):
+        distance = 3.0 * t - 2.0 * tau[i] * (1.0 - np.exp(-t / tau[i]))
+        assert np.cumsum(found[2:, i] * dt_s[2:]) == pytest.approx(distance) and found[1, i] == pytest.approx(1.0)
+    assert (found[:, [1, 2, 4, 5]] == u[:, [1, 2, 4, 5]]).all() and (followed(u[:1], dt_s[:1], tau) == u[:1]).all()
+
+
+def test_a_time_constant_is_a_part_of_the_data_sheet(tmp_path: Path) -> None:
+    """Of the recording's file, of what `--set` changes, and of what estimators are given."""
+    recording = commanded(0.4, 1)
+    sheet = changed_sheet(recording.odometry_model, {"noise.u_psi.time_constant_s": 0.4})
+    stated = replace(recording, odometry_model=sheet)
+    stated.save(tmp_path / "a.h5")
+    again = Recording.load(tmp_path / "a.h5")
+    assert again.odometry_model.time_constant_s.tolist() == [0.0, 0.0, 0.0, 0.4, 0.0, 0.0]
+    turned, plain = odometry_of(again), odometry_of(recording)
+    assert (turned[:, 0] == plain[:, 0]).all() and np.abs(turned[:, 3] - plain[:, 3]).max() > 0.05
+    with pytest.raises(InputError, match=r"time_constant_s.*is not a duration"):
+        replace(recording, odometry_model=replace(sheet, time_constant_s=-sheet.time_constant_s))
 
 
 @pytest.mark.slow
