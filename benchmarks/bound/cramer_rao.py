@@ -95,12 +95,12 @@ class Joint:
     """What is known of the `n` states that are there, of K: the first n rows, and columns, of the covariance `P` and of
     the error `m` of the mean, of the states divided by their `scale`, which is 1 for states that do not fade.
 
-    Arrays have room for more. `states`: the numbers of those that are there; `place` (K,): where each of all K stands,
-    -1: it is not there.
+    Arrays have capacity for more. `states`: the numbers of those that are there; `index` (K,): the row of each of all
+    K states, -1: it is not there.
     """
 
     def __init__(self, every: int) -> None:
-        self.n, self.place = 0, np.full(every, -1)
+        self.n, self.index = 0, np.full(every, -1)
         self.P: Floats = np.empty((0, 0))
         self.m: Floats = np.empty(0)
         self.scale: Floats = np.empty(0)
@@ -115,19 +115,19 @@ class Joint:
         """Add k states, of errors m (k,), covariance P (k, k) and covariances P_old (k, n) with those there."""
         n, size = self.n, self.n + len(states)
         if size > len(self.m):
-            self._make_room(2 * size + 1)  # odd: rows a multiple of 4096 bytes apart would share their place in a cache
+            self._grow(2 * size + 1)  # odd: rows a multiple of 4096 bytes apart would evict one another from the cache
         self.P[n:size, n:size], self.P[n:size, :n], self.P[:n, n:size] = P, P_old, np.transpose(P_old)
         self.m[n:size], self.scale[n:size], self.states[n:size] = m, 1.0, states
-        self.n, self.place[states] = size, np.arange(n, size)
+        self.n, self.index[states] = size, np.arange(n, size)
 
     def keep(self, kept: Ints) -> None:
-        """Leave only the states that stand at the places `kept` (k,), which rise."""
-        self.place[self.there] = -1
+        """Leave only the states of the rows `kept` (k,), which ascend."""
+        self.index[self.there] = -1
         keep(self.P, self.m, self.scale, self.states, kept)
         self.n = len(kept)
-        self.place[self.there] = np.arange(self.n)
+        self.index[self.there] = np.arange(self.n)
 
-    def _make_room(self, size: int) -> None:
+    def _grow(self, size: int) -> None:
         more = size - len(self.m)
         self.P, self.states = np.pad(self.P, (0, more)), np.pad(self.states, (0, more))
         self.m, self.scale = np.pad(self.m, (0, more)), np.pad(self.scale, (0, more))
@@ -162,7 +162,7 @@ def recursion(
     joint.add(np.arange(core.size), motion.jump[0], np.diag(motion.start))
     if known is not None:
         joint.add(known.there, known.m[: known.n], known.P[: known.n, : known.n])
-    new = joint.place[survey.state] < 0  # a known map has it in
+    new = joint.index[survey.state] < 0  # a known map has it in
     joint.add(survey.state[new], survey.error[new], np.diag(survey.variance[new]))
     with progress("Cramer-Rao bound", count) as advance:
         for t in range(count):
@@ -191,7 +191,7 @@ def recursion(
 def _map_bound(joint: Joint, drive: Drive, core: Core) -> tuple[Floats, Floats]:
     """Return the bounds (V,) in m of the true VTs, NaN of those that are not there, and the errors (V, 3) of the mean;
     VTs do not fade, so that their scale is 1."""
-    at = joint.place[core.size + 3 * drive.vts[:, None] + np.arange(3)]
+    at = joint.index[core.size + 3 * drive.vts[:, None] + np.arange(3)]
     there = at >= 0
     variance = np.where(there, joint.P[at, at], np.nan).sum(axis=1)
     return np.sqrt(variance), np.where(there, joint.m[at], np.nan)
@@ -236,14 +236,14 @@ class Steps(NamedTuple):
         if self.births.begin[t] < self.births.begin[t + 1]:
             self.give_births(joint, t)
         if self.measured.begin[t] < self.measured.begin[t + 1]:
-            update(joint.P, joint.m, joint.n, self.measured, t, self.drive.views.rows, joint.place, joint.scale)
+            update(joint.P, joint.m, joint.n, self.measured, t, self.drive.views.rows, joint.index, joint.scale)
 
     def give_births(self, joint: Joint, t: int) -> None:
         """Add the VTs that are seen for the first time, each known from one measurement alone: the limit of a broad
         prior. v = D (z - H x) with D the inverse of H_v; the other states learn nothing."""
         H, s, n = self.births, self.drive.sightings, joint.n
         own, rows = slice(H.begin[t], H.begin[t + 1]), np.flatnonzero(s.first[s.rows[t] : s.rows[t + 1]]) + s.rows[t]
-        of_state = H, t, self.drive.views.rows, joint.place, joint.scale
+        of_state = H, t, self.drive.views.rows, joint.index, joint.scale
         D = block_diag(*np.linalg.inv(self.drive.views.by_vt[s.view_of[rows]]))
         HP = times(*of_state, joint.P, n)
         P_v = D @ (times(*of_state, HP.T.copy(), len(HP)) + np.diag(H.std[own] ** 2)) @ D.T

@@ -1,7 +1,8 @@
-"""Compiled steps of the bound's recursion, in place (the equations: `cramer_rao`).
+"""Compiled steps of the bound's recursion, which change their arrays (the equations: `cramer_rao`).
 
-Of arrays with room for N states the first n are those that are there: P (N, N) is the covariance and m (N,) the error
-of the mean of the states divided by their scale s (N,). `place` (K,) says where each state stands, -1: it is not there.
+Of arrays with capacity for N states the first n are those that are there: P (N, N) is the covariance and m (N,) the
+error of the mean of the states divided by their scale s (N,). `index` (K,) has the row of each state, -1: it is not
+there.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ def predict(P: Floats, m: Floats, s: Floats, F: Floats, Q: Floats, jump: Floats,
 
 
 @njit(cache=True)
-def times(H: Components, t: int, views: Sparse, place: Ints, s: Floats, x: Floats, width: int) -> Floats:
+def times(H: Components, t: int, views: Sparse, index: Ints, s: Floats, x: Floats, width: int) -> Floats:
     """Return H x (k, width) of snapshot t for the first columns of x (n, width)."""
     low, high = H.begin[t], H.begin[t + 1]
     first, last = H.row[low] // 3 * 3, H.row[high - 1] // 3 * 3 + 3
@@ -76,7 +77,7 @@ def times(H: Components, t: int, views: Sparse, place: Ints, s: Floats, x: Float
     for r in range(first, last):
         row = shared[r - first]
         for e in range(views.begin[r], views.begin[r + 1]):
-            at = place[views.state[e]]
+            at = index[views.state[e]]
             load, other = views.load[e] * s[at], x[at]
             for j in range(width):
                 row[j] += load * other[j]
@@ -85,7 +86,7 @@ def times(H: Components, t: int, views: Sparse, place: Ints, s: Floats, x: Float
         for j in range(width):
             row[j] = view[j]
         if H.own[i] >= 0:
-            at = place[H.own[i]]
+            at = index[H.own[i]]
             load, other = H.load[i] * s[at], x[at]
             for j in range(width):
                 row[j] += load * other[j]
@@ -93,7 +94,7 @@ def times(H: Components, t: int, views: Sparse, place: Ints, s: Floats, x: Float
 
 
 @njit(cache=True)
-def update(P: Floats, m: Floats, n: int, H: Components, t: int, views: Sparse, place: Ints, s: Floats) -> None:
+def update(P: Floats, m: Floats, n: int, H: Components, t: int, views: Sparse, index: Ints, s: Floats) -> None:
     """Take the measured components of snapshot t in.
 
     H, residual and S are divided by the roots of R: S is 1 + H P H^T, whose eigenvalues are 1 or more, but for what the
@@ -102,9 +103,9 @@ def update(P: Floats, m: Floats, n: int, H: Components, t: int, views: Sparse, p
     low, k = H.begin[t], H.begin[t + 1] - H.begin[t]
     std = H.std[low : low + k].reshape((k, 1))
     G = np.empty((k + 3, n))  # with three rows more, as `downdate` asks
-    G[:k] = times(H, t, views, place, s, P, n) / std
-    L = times(H, t, views, place, s, G[:k].T.copy(), k) / std
-    y = (H.residual[low : low + k] - times(H, t, views, place, s, m.reshape((len(m), 1)), 1)[:, 0]) / std[:, 0]
+    G[:k] = times(H, t, views, index, s, P, n) / std
+    L = times(H, t, views, index, s, G[:k].T.copy(), k) / std
+    y = (H.residual[low : low + k] - times(H, t, views, index, s, m.reshape((len(m), 1)), 1)[:, 0]) / std[:, 0]
     rounded = ROUNDING * np.trace(L)
     for i in range(k):
         L[i, i] += 1.0 + rounded
@@ -125,7 +126,7 @@ def update(P: Floats, m: Floats, n: int, H: Components, t: int, views: Sparse, p
 
 @njit(cache=True)
 def keep(P: Floats, m: Floats, s: Floats, states: Ints, kept: Ints) -> None:
-    """Leave only those states that stand at the places `kept` (k,), which rise."""
+    """Leave only the states of the rows `kept` (k,), which ascend."""
     for i in range(len(kept)):
         of = kept[i]
         m[i], s[i], states[i] = m[of], s[of], states[of]

@@ -26,8 +26,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.special import erf, ndtr
-from scipy.stats import t as student
+from scipy.special import erf, ndtr, stdtrit
 
 from cellslam.sim.recording import Floats
 
@@ -60,7 +59,7 @@ class Claim:
 
     def half_width(self, variance: Floats, risk: float) -> Floats:
         """Return what the size of one component's error exceeds with probability `risk` (n,), of variances (n,)."""
-        return np.asarray(self.scale * np.sqrt(variance) * student.isf(risk / 2.0, self.freedom))
+        return np.asarray(self.scale * np.sqrt(variance) * -stdtrit(self.freedom, risk / 2.0))
 
 
 AS_CLAIMED = Claim()

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.stats import binomtest, chi2
+from scipy.special import chdtri
 
 from cellslam.benchmarks.scores.belief import claimed_probability, ratio, two_sided
 from cellslam.benchmarks.scores.metrics import Scored
@@ -87,8 +87,9 @@ def consistency(folder: str | Path, times: int = 10, rows: Sequence[str] | None 
 
 def nees_band(trials: int) -> tuple[float, float]:
     """Return the interval that has 95 % of the means of so many consistent trials."""
-    low, high = chi2.interval(CONFIDENCE, 2 * trials)
-    return float(low / trials), float(high / trials)
+    above = (1.0 + CONFIDENCE) / 2.0, (1.0 - CONFIDENCE) / 2.0
+    low, high = chdtri(2 * trials, above) / trials
+    return float(low), float(high)
 
 
 def _over_time(drives: Iterable[Trajectory], times: int) -> Iterator[dict[str, Any]]:
@@ -105,11 +106,11 @@ def _over_time(drives: Iterable[Trajectory], times: int) -> Iterator[dict[str, A
         squared = squared[np.isfinite(squared)]
         low, high = nees_band(len(squared)) if len(squared) else (None, None)
         mean = float(squared.mean()) if len(squared) else None
-        position = _share("position", squared <= chi2.ppf(CONFIDENCE, 2))
+        position = _share("position", squared <= chdtri(2, 1.0 - CONFIDENCE))
         ratio = np.concatenate([own[number] for own in ratios])
         clock = _share("clock", ratio[~np.isnan(ratio)] <= SIGMAS)  # a clock that was known has no ratio
         last = number == times - 1
-        vt = _share("vt", np.concatenate(vts) <= chi2.ppf(CONFIDENCE, 3) if last else np.zeros(0, bool))
+        vt = _share("vt", np.concatenate(vts) <= chdtri(3, 1.0 - CONFIDENCE) if last else np.zeros(0, bool))
         time_s = float(np.median([own[number] for own in moments]))
         yield {
             "time_s": time_s,
@@ -131,6 +132,8 @@ def _clock_ratios(one: Trajectory, at: Ints) -> Any:
 
 
 def _share(name: str, inside: Any) -> dict[str, Any]:
+    from scipy.stats import binomtest  # which takes a second to load
+
     count = len(inside)
     numbers: tuple[float | None, ...] = (None, None, None)
     if count:
