@@ -70,7 +70,7 @@ def predict(P: Floats, m: Floats, s: Floats, F: Floats, Q: Floats, jump: Floats,
 
 @njit(cache=True)
 def times(H: Components, t: int, views: Sparse, index: Ints, s: Floats, x: Floats, width: int) -> Floats:
-    """Return H x (k, width) of snapshot t for the first columns of x (n, width)."""
+    """Return H x (k, width) of snapshot t for the first columns of x (n, width); a state that is not there is zero."""
     low, high = H.begin[t], H.begin[t + 1]
     first, last = H.row[low] // 3 * 3, H.row[high - 1] // 3 * 3 + 3
     shared, out = np.zeros((last - first, width)), np.zeros((high - low, width))  # ports share what they see
@@ -78,9 +78,10 @@ def times(H: Components, t: int, views: Sparse, index: Ints, s: Floats, x: Float
         row = shared[r - first]
         for e in range(views.begin[r], views.begin[r + 1]):
             at = index[views.state[e]]
-            load, other = views.load[e] * s[at], x[at]
-            for j in range(width):
-                row[j] += load * other[j]
+            if at >= 0:
+                load, other = views.load[e] * s[at], x[at]
+                for j in range(width):
+                    row[j] += load * other[j]
     for i in range(low, high):
         row, view = out[i - low], shared[H.row[i] - first]
         for j in range(width):

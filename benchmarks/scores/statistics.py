@@ -180,6 +180,16 @@ def paired(first: Floats, second: Floats, confidence: float = 0.95) -> Paired:
     return Paired(count, median, low if known else None, high if known else None, wilcoxon_p(difference), below)
 
 
+def median_interval(values: Floats, confidence: float) -> tuple[float, float]:
+    """Return an interval of the median of `values` (n,), at least six, between two of them: for every distribution the
+    median is there with this confidence or more (order statistics)."""
+    from scipy.stats import binom
+
+    first = int(binom.ppf((1.0 - confidence) / 2.0, len(values), 0.5)) - 1
+    ordered = np.sort(values)
+    return float(ordered[first]), float(ordered[-1 - first])
+
+
 def wilcoxon_p(difference: Floats) -> float:
     """Return the p-value of Wilcoxon's signed-rank test that differences (n,), in any unit, are symmetric about
     zero."""

@@ -2,7 +2,8 @@
 
 Sources: Demsar, "Statistical comparisons of classifiers over multiple data sets", J. Machine Learning Research 7, 2006
 (Friedman's test, Nemenyi's critical difference); Holm, "A simple sequentially rejective multiple test procedure",
-Scandinavian J. Statistics 6, 1979; Wilcoxon's signed-rank test as in `statistics`.
+Scandinavian J. Statistics 6, 1979; Noether, "Sample size determination for some common nonparametric tests", J.
+American Statistical Association 82, 1987; Wilcoxon's signed-rank test and the interval of a median as in `statistics`.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
-from cellslam.benchmarks.scores.statistics import wilcoxon_p
+from cellslam.benchmarks.scores.statistics import median_interval, wilcoxon_p
 from cellslam.sim.recording import Floats
 
 LEVEL = 0.05  # of all tests
 LEAST_TRIALS = 6  # with five, no pair can differ at that level
+POWER = 0.8  # with which a difference is to be found
 
 
 @dataclass(frozen=True)
@@ -28,8 +31,9 @@ class Verdict:
 
     `mean_rank` (k,): 1 is the best in every trial. `friedman_p`: of all being equally good; NaN below three estimators.
     `critical_difference`: what two mean ranks must differ by, by Nemenyi's test. `difference` (k, k): median of row
-    minus column in the scores' unit. `p_value` (k, k): Wilcoxon's test of the pair, corrected for all pairs by Holm's
-    method; 1 on the diagonal.
+    minus column in the scores' unit, and its 95 % interval from `low` to `high` (k, k). `p_value` (k, k): Wilcoxon's
+    test of the pair, corrected for all pairs by Holm's method; 1 on the diagonal. `trials_needed` (k, k): how many
+    trials would show, with `POWER`, a pair that differs as it does here.
     """
 
     names: tuple[str, ...]
@@ -38,7 +42,10 @@ class Verdict:
     friedman_p: float
     critical_difference: float
     difference: Floats
+    low: Floats
+    high: Floats
     p_value: Floats
+    trials_needed: Floats
 
     @property
     def differ(self) -> NDArray[np.bool_]:
@@ -75,13 +82,26 @@ def verdict(scores: Mapping[str, Floats]) -> Verdict | None:
     trials, count = table.shape
     between = [table[:, i] - table[:, j] for i, j in combinations(range(count), 2)]
     corrected = holm([wilcoxon_p(one) for one in between])
-    p_value, difference = np.ones((count, count)), np.zeros((count, count))
+    p_value, needed = np.ones((count, count)), np.full((count, count), np.inf)
+    difference, low, high = np.zeros((3, count, count))
     for (i, j), one, p in zip(combinations(range(count), 2), between, corrected, strict=True):
         p_value[i, j] = p_value[j, i] = p
-        difference[i, j], difference[j, i] = np.median(one), -np.median(one)
+        needed[i, j] = needed[j, i] = trials_needed(one)
+        difference[i, j], (low[i, j], high[i, j]) = np.median(one), median_interval(one, 1.0 - LEVEL)
+        difference[j, i], low[j, i], high[j, i] = -difference[i, j], -high[i, j], -low[i, j]
     friedman_p = float(friedmanchisquare(*table.T).pvalue) if count > 2 else float("nan")
     names = tuple(np.array(list(scores))[order].tolist())
-    return Verdict(names, trials, ranks, friedman_p, critical_difference(count, trials), difference, p_value)
+    far = critical_difference(count, trials)
+    return Verdict(names, trials, ranks, friedman_p, far, difference, low, high, p_value, needed)
+
+
+def trials_needed(difference: Floats) -> float:
+    """Return in how many trials Wilcoxon's test finds, with probability `POWER`, what differs as these do (n,), in any
+    unit: by Noether's formula, from the share of pairs of trials whose mean difference is above zero."""
+    i, j = np.triu_indices(len(difference), 1)
+    above = np.mean(np.heaviside(difference[i] + difference[j], 0.5))
+    quantiles = ndtri(1.0 - LEVEL / 2.0) + ndtri(POWER)
+    return float(np.ceil(quantiles**2 / (3.0 * (above - 0.5) ** 2))) if above != 0.5 else math.inf
 
 
 def critical_difference(count: int, trials: int, level: float = LEVEL) -> float:

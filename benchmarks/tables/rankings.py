@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from functools import reduce
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cellslam.benchmarks.scores.verdicts import LEAST_TRIALS, Verdict, verdict
-from cellslam.benchmarks.tables.formats import Grid, markdown, number
+from cellslam.benchmarks.tables.formats import Grid, bracketed, markdown, number
 from cellslam.slam import registry
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 METRIC = "position_rmse_m"
 ALL = "overall"
 MOST_PANELS = 12
+MOST_TRIALS = 10_000  # what is needed beyond is not worth a number: 20 trials do not tell it
 
 
 def verdicts(
@@ -58,6 +60,19 @@ def verdict_table(one: Verdict) -> str:
         cells = (f"**{text}**" if one.differ[i, j] else text if i != j else "" for j, text in enumerate(texts))
         lines.append((name, f"{one.mean_rank[i]:.2f}", *cells))
     return markdown(Grid(("estimator", "mean rank", *one.names), tuple(lines), 1)).rstrip()
+
+
+def effects_table(one: Verdict) -> str:
+    """Return the pairs of a verdict as a Markdown table: their median difference with its interval, its p-value, and
+    how many trials would show it; those that differ least come last."""
+    pairs = sorted(combinations(range(len(one.names)), 2), key=lambda pair: one.trials_needed[pair])
+    lines = []
+    for pair in pairs:
+        first, second = (one.names[i] for i in pair)
+        effect = bracketed(one.difference[pair], one.low[pair], one.high[pair], METRIC)
+        needed = f"{one.trials_needed[pair]:.0f}" if one.trials_needed[pair] < MOST_TRIALS else f"> {MOST_TRIALS}"
+        lines.append((f"{first}, {second}", effect, f"{one.p_value[pair]:.2g}", needed))
+    return markdown(Grid(("pair", "difference [95 %]", "p", "trials needed"), tuple(lines), 1)).rstrip()
 
 
 def significant_pairs(one: Verdict) -> str:

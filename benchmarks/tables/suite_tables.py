@@ -10,9 +10,16 @@ import numpy as np
 
 from cellslam.benchmarks.scores.metrics import COST_KEYS
 from cellslam.benchmarks.scores.statistics import efficiency_ratio
-from cellslam.benchmarks.scores.verdicts import Verdict
+from cellslam.benchmarks.scores.verdicts import POWER, Verdict
 from cellslam.benchmarks.tables.formats import Column, Grid, bracketed, cell, columns_of, markdown, number
-from cellslam.benchmarks.tables.rankings import ALL, map_builders, significant_pairs, verdict_table, verdicts
+from cellslam.benchmarks.tables.rankings import (
+    ALL,
+    effects_table,
+    map_builders,
+    significant_pairs,
+    verdict_table,
+    verdicts,
+)
 from cellslam.benchmarks.tables.suite_rows import SuiteRows
 from cellslam.benchmarks.tables.summaries import BOUNDED, CONFIDENCE, EFFICIENCY, MERGED, OF_MAP, RATIO_OF, RATIOS
 from cellslam.scenarios.suites import Suite, superseded_by
@@ -81,6 +88,7 @@ def leaderboard_markdown(some: SuiteRows, made_with: dict[str, str], command: st
         f"{_filled(about)}\n",
         standings(some, judged, made_with),
         *_judged(judged.get(ALL), power.get(ALL)),
+        *_effects(power.get(ALL)),
         f"\n![Mean ranks and critical differences]({picture})\n",
         _yours(one),
         f"This page is made by\n\n    {command}",
@@ -147,6 +155,18 @@ def _judged(one: Verdict | None, power: Verdict | None) -> list[str]:
         summary += f" Power: of the built-in map builders, tested by themselves, {significant_pairs(power)}."
     note = "Median difference of the RMSE on the same drives in m, row minus column; bold: significant.\n"
     return [f"\n{_filled(summary)}", note, verdict_table(one)]
+
+
+def _effects(one: Verdict | None) -> list[str]:
+    """Return the pairs of the built-in map builders, with what a smaller difference would take."""
+    if one is None:
+        return []
+    about = (
+        "The built-in map builders alone, pair by pair: median difference of the RMSE in m with its 95 % interval, "
+        "p-value after Holm, and the number of trials in which Wilcoxon's test would find such a difference at 5 % "
+        f"with a probability of {POWER:g}, if these {one.trials} trials are like all others."
+    )
+    return [f"\n{_filled(about)}\n", effects_table(one)]
 
 
 def _yours(one: Suite) -> str:
