@@ -8,8 +8,6 @@ positive up, in [-pi/2, pi/2]. All functions broadcast over leading axes.
 
 from __future__ import annotations
 
-from itertools import accumulate
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -31,25 +29,6 @@ def held(odometry: NDArray[np.float64]) -> NDArray[np.float64]:
         column = out[:, index]
         last = np.maximum.accumulate(np.where(np.isnan(column), 0, np.arange(len(column))))
         column[:] = np.nan_to_num(column[last])
-    return out
-
-
-def followed(
-    odometry: NDArray[np.float64], dt_s: NDArray[np.float64], time_constant_s: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the mean velocities v (T, 6) of a vehicle that follows commands u (T, 6), which hold for dt_s (T,) in s,
-    with time constants tau (6,) in s: dv/dt = (u - v) / tau, so that
-
-        v_k = u_k + (v_(k-1) - u_k) exp(-dt_k / tau),    mean of v over dt_k = u_k - tau (v_k - v_(k-1)) / dt_k.
-
-    Before the first command it went as that one says. tau = 0: the component is u itself.
-    """
-    out = odometry.copy()
-    for i in np.flatnonzero(time_constant_s) if len(out) > 1 else ():
-        u, dt, tau = odometry[1:, i], dt_s[1:], time_constant_s[i]
-        steps = zip(u.tolist(), np.exp(-dt / tau).tolist(), strict=True)
-        v = list(accumulate(steps, lambda v, step: step[0] + (v - step[0]) * step[1], initial=float(u[0])))
-        out[1:, i] -= tau * np.diff(v) / dt
     return out
 
 

@@ -28,7 +28,6 @@ RULES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "finite": (np.isfinite, "is not finite: leave the row out, or write the number"),
     "measured": (lambda x: ~np.isinf(x), "is infinite: write NaN where it was not measured"),
     "deviation": (lambda x: (x >= 0) & np.isfinite(x), "is not a standard deviation (must be >= 0, and finite)"),
-    "duration": (lambda x: (x >= 0) & np.isfinite(x), "is not a duration (must be >= 0, and finite)"),
     "prior": (lambda x: x >= 0, "is not a standard deviation (must be >= 0)"),
     "claim": (lambda x: ~(x <= 0), "is not a standard deviation (must be > 0)"),
     "uncertainty": (lambda x: ~(x < 0), "is negative"),

@@ -6,7 +6,7 @@ Everything is a frozen dataclass of arrays. Estimators see the observable part t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,14 +29,12 @@ class OdometryModel(Described):
     A measured component is (1 + scale) u + bias + walk + white. All fields have shape (6,) and are standard deviations:
     `noise_density` of the white noise in unit * sqrt(s) (an interval's mean has noise_density / sqrt(dt)), `bias` in
     the unit of u, `bias_walk_density` in unit / sqrt(s), `scale` without unit. Zero: this error does not exist.
-    `time_constant_s`: with which the vehicle follows u, where that is commanded; 0: it is measured.
     """
 
     noise_density: Floats
     bias: Floats
     bias_walk_density: Floats
     scale: Floats
-    time_constant_s: Floats = field(default_factory=lambda: np.zeros(6))
 
 
 @dataclass(frozen=True, repr=False)

@@ -13,7 +13,7 @@ import numpy as np
 
 from cellslam.benchmarks.scores.array_calibration import field_map
 from cellslam.benchmarks.trials.output_files import writing
-from cellslam.recordings.importing.campaign import DEVIATIONS, PARTS_OF_SHEET, QUANTITIES
+from cellslam.recordings.importing.campaign import DEVIATIONS, KINDS_OF_NOISE, QUANTITIES
 from cellslam.recordings.importing.columns import ATTITUDE, POSITION, TABLES
 from cellslam.recordings.importing.manifest import NAME
 from cellslam.sim.errors import InputError
@@ -143,7 +143,7 @@ def _write_manifest(recording: Recording, made: Tables, place: Path, sources: Ma
         if np.isfinite(azimuth):
             text["links"][str(i)]["azimuth_deg"] = azimuth
     for i, name in enumerate(COMPONENTS):
-        text["noise"][name] = {kind: float(getattr(r.odometry_model, kind)[i]) for kind in PARTS_OF_SHEET}
+        text["noise"][name] = {kind: float(getattr(r.odometry_model, kind)[i]) for kind in KINDS_OF_NOISE}
     if "odometry" in made:
         text["odometry"] = table("odometry", hold="before")
     if "reference" in made:

@@ -10,7 +10,7 @@ import numpy as np
 
 from cellslam.recordings.fitting.fit_noise import unmodelled
 from cellslam.recordings.fitting.fit_sizes import Learnt, learn
-from cellslam.recordings.importing.campaign import PARTS_OF_SHEET
+from cellslam.recordings.importing.campaign import KINDS_OF_NOISE
 from cellslam.recordings.importing.manifest import Noise
 from cellslam.scenarios import external_options
 from cellslam.scenarios.estimator_options import Request
@@ -103,7 +103,7 @@ def changed_sheet(sheet: OdometryModel, changes: Mapping[str, Any]) -> OdometryM
 
     Raises InputError naming the key and what is allowed.
     """
-    columns = {kind: getattr(sheet, kind).copy() for kind in PARTS_OF_SHEET}
+    columns = {kind: getattr(sheet, kind).copy() for kind in KINDS_OF_NOISE}
     for key, value in changes.items():
         _, _, rest = key.partition(".")
         component, _, kind = rest.partition(".")
@@ -112,4 +112,4 @@ def changed_sheet(sheet: OdometryModel, changes: Mapping[str, Any]) -> OdometryM
             raise InputError(f"{key}: unknown component '{component}'{near} (known: {', '.join(COMPONENTS)})")
         checked = validate(Noise, {kind: value}, f"noise.{component}.")
         columns[kind][COMPONENTS.index(component)] = getattr(checked, kind)
-    return OdometryModel(*(np.asarray(columns[kind], np.float64) for kind in PARTS_OF_SHEET))
+    return OdometryModel(*(np.asarray(columns[kind], np.float64) for kind in KINDS_OF_NOISE))

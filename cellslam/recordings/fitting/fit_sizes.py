@@ -10,9 +10,6 @@ with share 1 in the first WHOLE passes, 1/2 in the others, and half of it where 
 The result are the sizes that fit best, of a pass whose slopes are the drive's own chance: mean of g_k^2 / I_k < FITS.
 They are taken where, and only where, they predict what is measured later better than the defaults do (`held_out`).
 
-Before that, a time constant with which the vehicle follows its odometry, as it does where that is commanded, is found
-and taken by the same rule: from 0.1 s on, each time longer by a half, for as long as it predicts better.
-
 Sources: Shumway and Stoffer, "An approach to time series smoothing and forecasting using the EM algorithm", Journal of
 Time Series Analysis 3(4), 1982; `slam.joint.sizes` has those of the steps.
 """
@@ -29,7 +26,7 @@ from pydantic import BaseModel
 
 from cellslam.recordings.fitting.fit_noise import initial_options, unmodelled
 from cellslam.recordings.fitting.held_out import Worth, compared, scores
-from cellslam.recordings.importing.campaign import PARTS_OF_SHEET
+from cellslam.recordings.importing.campaign import KINDS_OF_NOISE
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, Floats, OdometryModel, Recording
 from cellslam.slam import registry
@@ -52,9 +49,6 @@ BURSTS = 3.0
 # Bias and scale that any odometer may have, m/s and rad/s: what a data sheet leaves out cannot be learnt.
 LEAST_BIAS, LEAST_SCALE = {"u_psi": 1e-3}, {"u_x": 0.01, "u_psi": 0.01}
 
-# Time constants with which a vehicle may follow what it is commanded, s: 0.1 to 1.7.
-TIME_CONSTANTS_S = tuple(0.1 * 1.5**k for k in range(8))
-
 
 @dataclass(frozen=True)
 class Learnt:
@@ -64,15 +58,12 @@ class Learnt:
     standard deviation; what the drive does not tell is left out, and stays as assumed. `worth`: how much better what
     was learnt predicts than the defaults; None where clock offsets never were resolved, so that nothing was learnt.
     Where it is not surely better, options and data sheet are the defaults, and the worth is that of the best rival.
-    `following`: how much better it predicts that the vehicle follows its odometry with the time constant of the data
-    sheet, which the defaults then have, too; None: that was not learnt.
     """
 
     options: dict[str, Any]
     odometry_model: OdometryModel
     changes: dict[str, tuple[float, float]]
     worth: Worth | None
-    following: Worth | None = None
 
     def table(self, model: type[BaseModel] | None) -> dict[str, Any]:
         """Return the options of an estimator, those that its model has; empty for one that shares none."""
@@ -85,42 +76,22 @@ def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Pro
     `assumed`: front-end options to begin with, by name; None: nobody modelled this front end, and the tracks of its
     measurements give them. Raises InputError where these are too few to tell.
     """
-    options = dict(unmodelled(recording) if assumed is None else assumed)
-    with progress("learning the sizes of errors", PASSES + 5) as advance:
-        sheet, following = _followed(recording, EkfSlamOptions(**options))
-        advance(2)
-        recording = replace(recording, odometry_model=sheet)
-        default = Learnt(options, sheet, {}, None, following)
+    sheet = recording.odometry_model
+    default = Learnt(dict(unmodelled(recording) if assumed is None else assumed), sheet, {}, None)
+    with progress("learning the sizes of errors", PASSES + 3) as advance:
         fitted = _fitted(recording, assumed, advance)
         if fitted is None:
             return default
         # What is learnt of the odometry is taken beside what is learnt of measurements, or not.
         changes = {name: change for name, change in fitted.changes.items() if name not in COMPONENTS}
         rivals = default, replace(fitted, odometry_model=sheet, changes=changes), fitted
-        compete, found = [EkfSlamOptions(**one.options) for one in rivals], list[Floats]()
-        for one, own in zip(rivals, compete, strict=True):
-            found.append(scores(recording, Sheets(own, one.odometry_model), compete))
+        options, found = [EkfSlamOptions(**one.options) for one in rivals], list[Floats]()
+        for one, own in zip(rivals, options, strict=True):
+            found.append(scores(recording, Sheets(own, one.odometry_model), options))
             advance(1)
     worth = [compared(found[0], own) for own in found]
     best = max(range(1, len(rivals)), key=lambda i: (worth[i].sure, worth[i].mean))
-    return replace(rivals[best if worth[best].sure else 0], worth=worth[best], following=following)
-
-
-def _followed(recording: Recording, options: EkfSlamOptions) -> tuple[OdometryModel, Worth | None]:
-    """Return the odometry's data sheet with the time constant that predicts best, and how much better it does; the
-    sheet as it is and None where it has one, or none is surely better."""
-    sheet = longer = recording.odometry_model
-    if sheet.time_constant_s.any():
-        return sheet, None
-    found = plain = scores(recording, Sheets(options, sheet), [options])
-    for time_constant_s in TIME_CONSTANTS_S:
-        other = replace(sheet, time_constant_s=np.full(len(COMPONENTS), time_constant_s))
-        own = scores(recording, Sheets(options, other), [options])
-        if compared(found, own).mean <= 0.0:
-            break
-        longer, found = other, own
-    worth = compared(plain, found)
-    return (longer, worth) if worth.sure else (sheet, None)
+    return replace(rivals[best if worth[best].sure else 0], worth=worth[best])
 
 
 def _fitted(recording: Recording, assumed: Mapping[str, Any] | None, advance: Callable[[int], None]) -> Learnt | None:
@@ -228,7 +199,7 @@ def toml(path: Path, learnt: Learnt) -> str:
             out += ["", f"[estimator.{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
     sheet = learnt.odometry_model
     for i, component in enumerate(COMPONENTS):
-        values = {kind: getattr(sheet, kind)[i] for kind in PARTS_OF_SHEET}
+        values = {kind: getattr(sheet, kind)[i] for kind in KINDS_OF_NOISE}
         if any(values.values()):
             out += ["", f"[noise.{component}]", *(f"{kind} = {value:.4g}" for kind, value in values.items())]
     return "\n".join(out) + "\n"
@@ -236,17 +207,6 @@ def toml(path: Path, learnt: Learnt) -> str:
 
 def in_words(learnt: Learnt) -> list[str]:
     """Return lines that say what differs from what was assumed."""
-    return [*_following_in_words(learnt), *_sizes_in_words(learnt)]
-
-
-def _following_in_words(learnt: Learnt) -> list[str]:
-    if learnt.following is None:
-        return []
-    time_constant_s = learnt.odometry_model.time_constant_s.max()
-    return [f"the vehicle follows its odometry with a time constant of {time_constant_s:.2g} s ({learnt.following})"]
-
-
-def _sizes_in_words(learnt: Learnt) -> list[str]:
     if learnt.worth is None:
         return ["sizes of errors as assumed: the clock offsets were never resolved, so nothing could be learnt"]
     if not learnt.worth.sure:

@@ -25,7 +25,7 @@ from cellslam.sim.recording import CLOCK_PRIOR, COMPONENTS, Floats, Recording, R
 
 QUANTITIES = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db")
 DEVIATIONS = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
-PARTS_OF_SHEET = ("noise_density", "bias", "bias_walk_density", "scale", "time_constant_s")
+KINDS_OF_NOISE = ("noise_density", "bias", "bias_walk_density", "scale")  # of a data sheet
 NOTHING = (0.0,) * 6
 SAME_TIME_S = 1e-6  # measurements nearer than this belong to one snapshot
 # A clock off by 1e-4 is the least of it: what is measured is the time of a threshold in an envelope, which comes the
@@ -209,9 +209,9 @@ def _surveys(campaign: Campaign, names: Sequence[str]) -> dict[str, Floats]:
 
 def _model(noise: Mapping[str, Sequence[float]]) -> contract.OdometryModel:
     for name in noise:
-        if name not in PARTS_OF_SHEET:
-            raise InputError(f"odometry noise: unknown '{name}' (known: {', '.join(PARTS_OF_SHEET)})")
-    return contract.OdometryModel(*(np.asarray(noise.get(name, NOTHING), np.float64) for name in PARTS_OF_SHEET))
+        if name not in KINDS_OF_NOISE:
+            raise InputError(f"odometry noise: unknown '{name}' (known: {', '.join(KINDS_OF_NOISE)})")
+    return contract.OdometryModel(*(np.asarray(noise.get(name, NOTHING), np.float64) for name in KINDS_OF_NOISE))
 
 
 def _reference(table: ReferenceTable) -> Reference:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.recordings.importing.campaign import NOTHING, PARTS_OF_SHEET, Campaign, ReferenceTable, build
+from cellslam.recordings.importing.campaign import KINDS_OF_NOISE, NOTHING, Campaign, ReferenceTable, build
 from cellslam.recordings.importing.columns import ATTITUDE, POSITION, Table, read_table
 from cellslam.recordings.importing.geodesy import projected
 from cellslam.recordings.importing.manifest import NAME, DriveTable, Link, Manifest, ReferenceFile, load_manifest
@@ -151,7 +151,7 @@ def _noise(manifest: Manifest) -> dict[str, tuple[float, ...]]:
                 "'cellslam fit-noise' estimates them once the recording is made"
             )
     rows = [manifest.noise.get(component) for component in COMPONENTS]
-    return {kind: tuple(0.0 if row is None else getattr(row, kind) for row in rows) for kind in PARTS_OF_SHEET}
+    return {kind: tuple(0.0 if row is None else getattr(row, kind) for row in rows) for kind in KINDS_OF_NOISE}
 
 
 def _start(manifest: Manifest) -> tuple[float, ...] | None:

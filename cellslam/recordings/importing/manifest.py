@@ -73,15 +73,12 @@ class PathTable(FileTable):
 
 
 class Noise(Table):
-    """The data sheet of one odometry component: deviations in m/s or rad/s."""
+    """Deviations of one odometry component, in m/s or rad/s."""
 
     noise_density: float = Field(0.0, ge=0, description="white noise, unit * sqrt(s)")
     bias: float = Field(0.0, ge=0, description="constant error, unit")
     bias_walk_density: float = Field(0.0, ge=0, description="how the bias walks, unit / sqrt(s)")
     scale: float = Field(0.0, ge=0, le=1, description="error of scale, share")
-    time_constant_s: float = Field(
-        0.0, ge=0, description="with which the vehicle follows, where odometry is what was commanded, s; 0: measured"
-    )
 
 
 class DriveTable(FileTable):
