@@ -144,7 +144,8 @@ class JointFilter:
         sites = self._setup.sites
         wide, given = width_of_components(sites.clock_offset_std_m, self.options), self.options.component_std_m
         if wide > given:
-            self.options = self.options.model_copy(update={"component_std_m": wide})
+            share = wide / self.options.typical_range_m
+            self.options = self.options.model_copy(update={"component_share": share})
             self._misfit.append(
                 f"clock offsets so uncertain take components of {wide:.0f} m, not {given:g} m, to fit into memory: "
                 "give smaller clock_offset_std_m where the offsets are known better"
@@ -152,7 +153,7 @@ class JointFilter:
         self._start: Start | None = None
         self._vts: VtEstimate | None = None
         self._joint: Mixture | None = None
-        if (sites.clock_offset_std_m > self.options.component_std_m).any():
+        if (sites.clock_offset_std_m > wide).any():
             self._start = begin(self._setup, self._core, self._errors, self.options)
             for mixture in self._start.mixtures:
                 self._install(mixture)

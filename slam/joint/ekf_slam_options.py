@@ -38,11 +38,13 @@ class EkfSlamOptions(MeasurementOptions):
     elevation_std_deg: float = Field(
         20.0, gt=0, le=90, description="deviation of a new VT's elevation from the horizon where none is measured, deg"
     )
-    component_std_m: float = Field(
-        20.0, gt=0, le=1000, description="width of one component of the clock-offset prior at the start, m"
+    component_share: float = Field(
+        0.1, gt=0, le=1, description="width of one component of the clock-offset prior at the start, in typical_range_m"
     )
     component_step: float = Field(1.25, gt=0, le=3, description="distance of neighbouring components, in their widths")
-    resolved_std_m: float = Field(15.0, gt=0, le=1000, description="a clock offset known to this is resolved, m")
+    resolved_share: float = Field(
+        0.075, gt=0, le=1, description="a clock offset known to this is resolved, in typical_range_m"
+    )
     start_limit_s: float = Field(600.0, ge=0, le=1e5, description="the start ends at this time at the latest, s")
     scatterers: bool | None = Field(
         None, description="whether paths may be scattered at points, or be nothing lasting; none: as the recording says"
@@ -54,6 +56,11 @@ class EkfSlamOptions(MeasurementOptions):
     calibration_file: str | None = Field(
         None, min_length=1, description="file of the array's calibration as an earlier drive found it, to begin with"
     )
+
+    @property
+    def component_std_m(self) -> float:
+        """The width of one component of the clock-offset prior at the start, in m."""
+        return self.component_share * self.typical_range_m
 
     @cached_property
     def known_calibration(self) -> Calibration | None:

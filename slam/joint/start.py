@@ -139,7 +139,8 @@ class Start:
     def over(self, variance_m2: Floats) -> bool:
         """Return whether joint filters can take over, the variances (S,) of the offsets being these: one offset is
         resolved, and the combinations are few; or all are."""
-        resolved, few = variance_m2 <= self.options.resolved_std_m**2, math.prod(map(len, self._likely()))
+        known_m = self.options.resolved_share * self.options.typical_range_m
+        resolved, few = variance_m2 <= known_m**2, math.prod(map(len, self._likely()))
         return bool(resolved.all() or (resolved.any() and few <= COMBINATIONS))
 
     def combinations(self) -> Floats:

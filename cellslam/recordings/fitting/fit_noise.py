@@ -14,6 +14,7 @@ import numpy as np
 
 from cellslam.recordings.fitting.fit_persisting import NAMES, Persisting, in_unit, persisting, reach
 from cellslam.recordings.fitting.fit_tracks import QUANTITIES, Tracks, polled_share, robust_std, tracks_of
+from cellslam.recordings.inspection.corrections import dead_reckoned
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.progress import Progress, silent
@@ -30,6 +31,7 @@ UNKNOWN = {
     "noise_unit_snr_m": 0.0, "noise_unit_snr_azimuth_deg": 0.0, "noise_unit_snr_elevation_deg": 0.0,
     "diffuse_m": 0.1, "diffuse_azimuth_deg": 0.6, "diffuse_elevation_deg": 0.6, "diffuse_scale_m": 1.0,
 }  # fmt: skip
+LEAST_EXTENT_M = 10.0
 LEAST_PERSISTING = 0.3  # of white noise
 PLANE_ELEVATION_DEG = 0.5  # what estimators assume of the zero elevations of one plane
 
@@ -55,11 +57,21 @@ def unmodelled(recording: Recording) -> dict[str, float]:
     """Return the options (m, deg, s), by name, of a front end that nobody modelled, before anything is learnt.
 
     Where links are polled in turn, a snapshot says nothing of those that were not polled: as nobody knows which these
-    are, detections and clutter are so much rarer.
+    are, detections and clutter are so much rarer. VTs are typically as far away as the drive extends.
     """
     share, usual = polled_share(recording), MeasurementOptions()
     seldom = {name: share * getattr(usual, name) for name in ("detection_probability", "clutter_density")}
-    return {**UNKNOWN, **seldom}
+    return {**UNKNOWN, **seldom, "typical_range_m": extent_of(recording)}
+
+
+def extent_of(recording: Recording) -> float:
+    """Return how far a drive extends, in m: the diagonal of the rectangle about it by its odometry, LEAST_EXTENT_M at
+    least; where it is larger than the range that is usual, or there are no azimuths or no odometry, that range."""
+    usual = MeasurementOptions().typical_range_m
+    diagonal = float(np.hypot(*np.ptp(dead_reckoned(recording, recording.time_s)[:, :2], axis=0)))
+    if np.isnan(recording.measurements.azimuth_rad).all() or not diagonal:
+        return usual
+    return min(max(diagonal, LEAST_EXTENT_M), usual)
 
 
 def initial_options(recording: Recording, progress: Progress = silent) -> dict[str, float]:
@@ -69,7 +81,7 @@ def initial_options(recording: Recording, progress: Progress = silent) -> dict[s
     """
     fitted = fit(recording, progress)
     shared = ("detection_probability", "clutter_density", "visible_s", "birth_ratio")
-    out = {**UNKNOWN, **{name: getattr(fitted, name) for name in shared}}
+    out = {**UNKNOWN, "typical_range_m": extent_of(recording), **{name: getattr(fitted, name) for name in shared}}
     for key in NAMES.values():
         floor = PLANE_ELEVATION_DEG if recording.plane and key == "elevation_deg" else fitted.floor.get(key)
         if floor is not None:
