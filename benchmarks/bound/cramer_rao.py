@@ -13,7 +13,7 @@ and m, the error of the mean of the filter that has this covariance:
                  which with e = s e', s <- a s leaves P as it is, but for (1 - a^2) / s^2 on its diagonal
     entering     an error that persists begins with variance 1
     measurement  z = h(r, v) + b + load e + white: H, R            `linear_model.tracked_measurements`
-      survey     v of a surveyed transmitter is there from the start   `linear_model.survey_of`
+      prior      v of a surveyed transmitter, and of a scatterer, is there from the start   `linear_model.prior_of`
       birth      first of another VT: v = H_v^-1 (z - H_r r - b - load e), from a flat prior         `give_births`
       update     S = H P H^T + R = L L^T,  G = L^-1 H P,  P <- P - G^T G
                  m <- m + G^T L^-1 (residual - H m)                                            `update`
@@ -155,15 +155,15 @@ def recursion(
     core: Core, drive: Drive, known: Joint | None = None, progress: Progress = silent
 ) -> tuple[BoundResult, Joint]:
     """Return the bound of a drive that begins with a `known` map, and the map that it leaves: VTs that stay."""
-    motion, states, survey, count = drive.motion, drive.states, drive.survey, len(drive.motion.jump)
+    motion, states, prior, count = drive.motion, drive.states, drive.prior, len(drive.motion.jump)
     pose, offset, error = np.zeros((count, 6, 6)), np.zeros((count, len(core.offsets))), np.zeros((count, 6))
     times_seen, over_time = _times_seen(drive, core), np.full(count, np.nan)
     joint, step = Joint(len(states.last)), Steps.of(drive)
     joint.add(np.arange(core.size), motion.jump[0], np.diag(motion.start))
     if known is not None:
         joint.add(known.there, known.m[: known.n], known.P[: known.n, : known.n])
-    new = joint.index[survey.state] < 0  # a known map has it in
-    joint.add(survey.state[new], survey.error[new], np.diag(survey.variance[new]))
+    new = joint.index[prior.state] < 0  # a known map has it in
+    joint.add(prior.state[new], prior.error[new], np.diag(prior.variance[new]))
     with progress("Cramer-Rao bound", count) as advance:
         for t in range(count):
             if t > 0:

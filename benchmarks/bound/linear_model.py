@@ -109,7 +109,7 @@ class Sightings(NamedTuple):
         return Components(begin, row[chosen], self.state[chosen], load[chosen], std, self.residual[chosen])
 
 
-class Survey(NamedTuple):
+class Prior(NamedTuple):
     """What is known of n coordinates of VTs beforehand, by a survey or nearly nothing: `state` (n,) their numbers,
     `variance` (n,) in m^2, and `error` (n,) as it was drawn, in m."""
 
@@ -136,7 +136,7 @@ class Drive(NamedTuple):
     views: Views
     sightings: Sightings
     states: States
-    survey: Survey
+    prior: Prior
     vts: Ints
 
 
@@ -154,8 +154,8 @@ def linear_model(
     if number is None:
         number, numbers = np.arange(len(truth.vts)), len(truth.vts)
     views, sightings, states = tracked_measurements(recording, truth, core, number, numbers, calibrated, merging)
-    survey = survey_of(recording.sites, truth, core, number)
-    return core, Drive(motion_of(recording, truth, core), views, sightings, states, survey, number)
+    prior = prior_of(recording.sites, truth, core, number)
+    return core, Drive(motion_of(recording, truth, core), views, sightings, states, prior, number)
 
 
 # ---- the core --------------------------------------------------------------------------------------------------------
@@ -256,7 +256,7 @@ def jumps(recording: Recording, truth: Truth, core: Core, F: Floats) -> Floats:
     return out
 
 
-def known_vts(sites: Sites, truth: Truth) -> Ints:
+def vts_with_prior(sites: Sites, truth: Truth) -> Ints:
     """Return the rows (n,) of the VTs that have a prior: surveyed sites, scatterers that are measured, and what
     illuminates these. Raises InputError where this is no VT."""
     measured = np.bincount(truth.measurement_vt + 1, minlength=len(truth.vts) + 1)[1:] > 0
@@ -268,15 +268,15 @@ def known_vts(sites: Sites, truth: Truth) -> Ints:
     return np.unique(np.concatenate([vt[vt >= 0], sources, scatterers]))
 
 
-def survey_of(sites: Sites, truth: Truth, core: Core, number: Ints) -> Survey:
+def prior_of(sites: Sites, truth: Truth, core: Core, number: Ints) -> Prior:
     """Return the prior of VTs: of sites that of their survey, of scatterers and of what illuminates them, if nobody
     surveyed it, a broad one about the truth; `number` (V,) as for `linear_model`."""
-    vt = known_vts(sites, truth)
+    vt = vts_with_prior(sites, truth)
     site, state = truth.vts.site[vt], core.size + 3 * number[vt, None] + np.arange(3)
     surveyed = ~truth.vts.scatters[vt, None] & np.isfinite(sites.surveyed_m[site])
     error = np.where(surveyed, sites.surveyed_m[site] - truth.vts.position_m[vt], 0.0)
     std = np.where(surveyed, sites.survey_std_m[site], SCATTERED_STD_M)
-    return Survey(state.ravel(), std.ravel() ** 2, error.ravel())
+    return Prior(state.ravel(), std.ravel() ** 2, error.ravel())
 
 
 # ---- the measurements ------------------------------------------------------------------------------------------------
@@ -353,7 +353,7 @@ def tracked_measurements(
     at_view = view[of]
     white = _white_variance(recording, truth, real, predicted[at_view, 0], persisting.variance)
     variance, residual = _together(white, residuals(recording, truth, real, predicted[at_view]), of, len(at))
-    first = np.isin(np.arange(len(at)), first_row) & ~np.isin(vt, known_vts(recording.sites, truth))
+    first = np.isin(np.arange(len(at)), first_row) & ~np.isin(vt, vts_with_prior(recording.sites, truth))
     missing = np.where(first[:, None], BROAD_STD**2, np.inf)
     sightings = Sightings(
         rows=np.searchsorted(snapshot, np.arange(len(recording.time_s) + 1)), view_of=view,

@@ -70,8 +70,8 @@ def draw_scatterers(scene: Scene, per_100_m: float, rng: np.random.Generator) ->
     u = left[wall] + along * length[wall]
     v = low[wall] + up * (high - low)[wall]
     own = table[wall]
-    place = (own[:, 3:4] + STAND_OFF_M) * own[:, :3] + u[:, None] * own[:, 4:7] + v[:, None] * own[:, 7:10]
-    return Scatterers(place + scene.origin_m, 10.0 ** (0.1 * (MEAN_DBSM + STD_DB * rng.standard_normal(count))))
+    position = (own[:, 3:4] + STAND_OFF_M) * own[:, :3] + u[:, None] * own[:, 4:7] + v[:, None] * own[:, 7:10]
+    return Scatterers(position + scene.origin_m, 10.0 ** (0.1 * (MEAN_DBSM + STD_DB * rng.standard_normal(count))))
 
 
 def scattered_paths(
@@ -79,18 +79,18 @@ def scattered_paths(
 ) -> list[Paths]:
     """Return the paths from each transmitter (S, 3) to receivers (R, 3), in m, by way of one scatterer: those that no
     building blocks."""
-    place = scatterers.position_m
-    lit = np.stack([scene.free(np.broadcast_to(t, place.shape), place) for t in transmitters_m])
+    position = scatterers.position_m
+    illuminated = np.stack([scene.free(np.broadcast_to(t, position.shape), position) for t in transmitters_m])
     which, receiver = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-    for k in np.flatnonzero(lit.any(axis=0)):
-        near = np.flatnonzero(((receivers_m - place[k]) ** 2).sum(axis=1) < REACH_M**2)
-        seen = near[scene.free(receivers_m[near], np.broadcast_to(place[k], (len(near), 3)))]
+    for k in np.flatnonzero(illuminated.any(axis=0)):
+        near = np.flatnonzero(((receivers_m - position[k]) ** 2).sum(axis=1) < REACH_M**2)
+        seen = near[scene.free(receivers_m[near], np.broadcast_to(position[k], (len(near), 3)))]
         which.append(np.full(len(seen), k))
         receiver.append(seen)
     point, row = np.concatenate(which), np.concatenate(receiver)
     out = []
     for site, transmitter in enumerate(transmitters_m):
-        own = lit[site, point]
+        own = illuminated[site, point]
         out.append(_described(site, transmitter, receivers_m, scatterers, point[own], row[own], carrier_hz))
     return out
 
@@ -100,16 +100,16 @@ def _described(
     carrier_hz: float,
 ) -> Paths:  # fmt: skip
     """Return the paths (n,) by way of scatterers `which` (n,) to receivers `row` (n,)."""
-    place, receiver, count = scatterers.position_m[which], receivers_m[row], len(which)
-    before, after = np.linalg.norm(place - transmitter, axis=1), np.linalg.norm(place - receiver, axis=1)
+    position, receiver, count = scatterers.position_m[which], receivers_m[row], len(which)
+    before, after = np.linalg.norm(position - transmitter, axis=1), np.linalg.norm(position - receiver, axis=1)
     wavelength = SPEED_OF_LIGHT_MPS / carrier_hz
     spread = np.sqrt(scatterers.cross_section_m2[which] / (4.0 * np.pi)) / (before * after)
-    arrival, departure = azimuth_elevation(place - receiver), azimuth_elevation(place - transmitter)
-    none, nowhere = np.full(count, -1, np.int64), np.full_like(place, np.nan)
+    arrival, departure = azimuth_elevation(position - receiver), azimuth_elevation(position - transmitter)
+    none, nowhere = np.full(count, -1, np.int64), np.full_like(position, np.nan)
     return Paths(
         receiver=row, transmitter=np.full(count, site, np.int64), order=np.ones(count, np.int64),
-        facets=np.column_stack([none, FIRST - which]), edge=none, points_m=np.stack([place, nowhere], axis=1),
-        vt_position_m=receiver + (place - receiver) * ((before + after) / after)[:, None], length_m=before + after,
+        facets=np.column_stack([none, FIRST - which]), edge=none, points_m=np.stack([position, nowhere], axis=1),
+        vt_position_m=receiver + (position - receiver) * ((before + after) / after)[:, None], length_m=before + after,
         azimuth_rad=arrival[0], elevation_rad=arrival[1],
         departure_azimuth_rad=departure[0], departure_elevation_rad=departure[1],
         gain=(wavelength / (4.0 * np.pi) * spread)[:, None, None] * np.eye(2, dtype=np.complex128),

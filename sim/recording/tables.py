@@ -146,7 +146,7 @@ class VirtualTransmitters(Described):
 
     `position_m` (V, 3); `site` (V,); `order` (V,); `facets` (V, 2), -1 where there is none; `visible` (I, 3): rows of
     VT, first and last snapshot of an interval in which the path exists (detected or not). `scatterer` (V,): 1 for
-    scatterers, points where paths bend on their way from the site, 0 for mirror images (None: there are no scatterers);
+    points that scatter what the site sends, 0 for mirror images (None: there are no scatterers);
     the site of a scatterer is a VT, too.
     """
 

@@ -137,11 +137,11 @@ def _final_vts(results: Mapping[str, TrialResult], drive: Extent) -> dict[str, F
     return {}
 
 
-def _near(place: Floats, drive: Extent) -> Floats:
+def _near(position: Floats, drive: Extent) -> Floats:
     """Return those of the positions (n, 2) that are not five times as far off as half of them."""
-    off = np.hypot(*(place - np.mean(drive, axis=1)).T)
+    off = np.hypot(*(position - np.mean(drive, axis=1)).T)
     farthest = FAR * max(float(np.median(off)), float(np.ptp(drive[0]))) if len(off) else 0.0
-    return np.asarray(place[off <= farthest])
+    return np.asarray(position[off <= farthest])
 
 
 def _scatterers(
@@ -152,12 +152,12 @@ def _scatterers(
     out = []
     if recording.truth is not None:
         vts, measured = recording.truth.vts, np.unique(recording.truth.measurement_vt)
-        place = vts.position_m[np.intersect1d(np.flatnonzero(vts.scatters), measured), :2]
-        out.append(("true scatterers", {"marker": "o", "markerfacecolor": "none", "color": TRUTH}, place))
+        position = vts.position_m[np.intersect1d(np.flatnonzero(vts.scatters), measured), :2]
+        out.append(("true scatterers", {"marker": "o", "markerfacecolor": "none", "color": TRUTH}, position))
     for name, result in results.items():
         if result.vts is not None and len(result.vts.id):
-            place = _near(result.vts.position_m[result.vts.scatters, :2], drive)
-            out.append((f"scatterers of {name}", {"marker": "+", "color": VT}, place))
+            position = _near(result.vts.position_m[result.vts.scatters, :2], drive)
+            out.append((f"scatterers of {name}", {"marker": "+", "color": VT}, position))
             break
     return [one for one in out if len(one[2])]
 

@@ -32,9 +32,9 @@ class JointFilter:
         self.size = len(self.drive.states.last)
         vts = broad_std**2 * np.eye(self.errors - self.core.size) if known is None else known
         self.P: Any = block_diag(np.diag(self.drive.motion.start), vts, np.eye(self.size - self.errors))
-        self.survey = self.drive.survey
+        self.prior = self.drive.prior
         if known is None:
-            self.P[self.survey.state, self.survey.state] = self.survey.variance
+            self.P[self.prior.state, self.prior.state] = self.prior.variance
 
     def transition(self, t: int) -> tuple[Floats, Floats]:
         """F and Q of all states."""
@@ -73,7 +73,7 @@ class JointFilter:
     def run(self) -> tuple[Floats, Floats, Floats]:
         """Return covariances of the pose, deviations of the offsets, and errors of the pose as they were drawn."""
         poses, offsets, errors, error = [], [], [], np.zeros(self.size)
-        error[self.survey.state] = self.survey.error
+        error[self.prior.state] = self.prior.error
         for t, step in enumerate(self.steps()):
             error = step.F @ error
             error[: self.core.size] += self.drive.motion.jump[t]

@@ -53,7 +53,7 @@ def test_surveyed_transmitters_are_states_with_the_variance_of_the_survey(make_r
     recording = surveyed(make_recording(seed=3, snapshots=60, vts_per_site=3, detection=0.5), std_m)
     plain = JointFilter(recording)
     pose, offset, error = plain.run()
-    assert np.diag(plain.drive.survey.variance).max() == std_m**2
+    assert np.diag(plain.drive.prior.variance).max() == std_m**2
     result = bound(recording)
     assert apart(result.pose_covariance, pose) < 1e-5
     np.testing.assert_allclose(result.clock_offset_std_m, offset, rtol=1e-5)
