@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.described import POSITION_COLUMNS, Described, dataframe
-from cellslam.sim.frames import held
+from cellslam.sim.frames import followed, held
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel, Recording, Sites, Truth
 from cellslam.slam.model.vt_map import VtMap
 from cellslam.slam.model.walls import normals
@@ -207,9 +207,11 @@ def odometry_of(recording: Recording) -> Floats:
     """Return odometry (T, 6) in m/s and rad/s as estimators take it, read-only.
 
     A component that was never measured is zero (its data sheet then says how the vehicle moves that way); in a gap the
-    last measured value holds.
+    last measured value holds. Commands are followed with the time constant of the data sheet.
     """
-    out = held(recording.odometry)
+    out, time_constant_s = held(recording.odometry), recording.odometry_model.time_constant_s
+    if time_constant_s:
+        out = followed(out, np.diff(recording.time_s, prepend=recording.time_s[0]), time_constant_s)
     out.setflags(write=False)
     return out
 

@@ -32,6 +32,21 @@ def held(odometry: NDArray[np.float64]) -> NDArray[np.float64]:
     return out
 
 
+def followed(commands: NDArray[np.float64], dt_s: NDArray[np.float64], time_constant_s: float) -> NDArray[np.float64]:
+    """Return mean velocities (T, 6) of a vehicle that follows commands (T, 6), each held for an interval (T,) in s.
+
+    It follows as a system of the first order, tau dv/dt = u - v; before the first interval it moves as commanded then.
+    Row 0 is no interval, and is copied.
+    """
+    out, now = commands.copy(), commands[min(1, len(commands) - 1)]
+    for t in range(1, len(commands)):
+        behind, share = now - commands[t], dt_s[t] / time_constant_s
+        left = np.exp(-share)
+        out[t] += behind * (1.0 - left) / share
+        now = commands[t] + behind * left
+    return out
+
+
 def rotation(psi_rad: ArrayLike, theta_rad: ArrayLike, phi_rad: ArrayLike) -> NDArray[np.float64]:
     """Return R = Rz(psi) Ry(theta) Rx(phi), (..., 3, 3), which takes body to world vectors; angles (...,) in rad."""
     psi, theta, phi = (np.asarray(a, np.float64) for a in (psi_rad, theta_rad, phi_rad))

@@ -93,6 +93,7 @@ COLUMNS = (
     Column("odometry_model/bias", (6,), _RATE_UNIT, labels=COMPONENTS, rule="deviation"),
     Column("odometry_model/bias_walk_density", (6,), "m/s/sqrt(s), rad/s/sqrt(s)", labels=COMPONENTS, rule="deviation"),
     Column("odometry_model/scale", (6,), labels=COMPONENTS, rule="deviation"),
+    Column("odometry_model/time_constant_s", (), "s", optional=True, rule="deviation"),
     Column("links/site", ("L",), kind="int", index=("S",)),
     Column("links/cell_id", ("L",), kind="int", absent=True),
     Column("links/port", ("L",), kind="int", absent=True),

@@ -29,12 +29,15 @@ class OdometryModel(Described):
     A measured component is (1 + scale) u + bias + walk + white. All fields have shape (6,) and are standard deviations:
     `noise_density` of the white noise in unit * sqrt(s) (an interval's mean has noise_density / sqrt(dt)), `bias` in
     the unit of u, `bias_walk_density` in unit / sqrt(s), `scale` without unit. Zero: this error does not exist.
+    `time_constant_s`: of odometry that is what the vehicle was commanded, which it follows as a system of the first
+    order, s; zero: at once, or nobody knows. None: odometry was measured.
     """
 
     noise_density: Floats
     bias: Floats
     bias_walk_density: Floats
     scale: Floats
+    time_constant_s: float | None = None
 
 
 @dataclass(frozen=True, repr=False)

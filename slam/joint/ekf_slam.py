@@ -43,7 +43,7 @@ import numpy as np
 
 from cellslam.sim.compiling import is_compiled
 from cellslam.sim.frames.frames_kernel import wrap
-from cellslam.sim.recording import Floats, Ints, Links, OdometryModel
+from cellslam.sim.recording import Floats, Ints, Links
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.joint.calibration_states import begin_with, found
@@ -482,10 +482,7 @@ def _writable(setup: Setup) -> Setup:
     """Return a setup whose arrays can be written: kernels are compiled for such arrays alone."""
     links, model = setup.links, setup.odometry_model
     site, cell, port = (np.array(c, np.int64) for c in (links.site, links.cell_id, links.port))
-    return replace(
-        setup,
-        links=Links(site, cell, port),
-        odometry_model=OdometryModel(
-            *(np.array(c, float) for c in (model.noise_density, model.bias, model.bias_walk_density, model.scale))
-        ),
-    )
+    noise, bias = np.array(model.noise_density, float), np.array(model.bias, float)
+    walk, scale = np.array(model.bias_walk_density, float), np.array(model.scale, float)
+    sheet = replace(model, noise_density=noise, bias=bias, bias_walk_density=walk, scale=scale)
+    return replace(setup, links=Links(site, cell, port), odometry_model=sheet)

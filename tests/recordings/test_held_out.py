@@ -17,7 +17,7 @@ from cellslam.recordings.fitting.assumptions import assumed
 from cellslam.recordings.fitting.fit_noise import unmodelled
 from cellslam.recordings.fitting.fit_sizes import Learnt, in_words, learn
 from cellslam.recordings.fitting.fit_tracks import polled_share
-from cellslam.recordings.fitting.held_out import Worth, blocks_of, compared, log_densities, scores
+from cellslam.recordings.fitting.held_out import CHANCE, Worth, blocks_of, compared, log_densities, scores
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.recording import OdometryModel, Recording
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
@@ -32,7 +32,7 @@ def test_a_difference_is_sure_as_students_test_has_it() -> None:
     for gain in (0.0, 0.2, 0.4, 0.6):
         default, other = rng.normal(0.0, 1.0, (2, 24)) + np.array([[0.0], [gain]])
         found = ttest_1samp(other - default, 0.0, alternative="greater")
-        assert compared(default, other).sure == (found.pvalue < 0.01)
+        assert compared(default, other).sure == (found.pvalue < CHANCE)
     assert not compared(default[:4], default[:4] + 9.0).sure
     assert not compared(np.full(24, np.nan), default).sure
 

@@ -146,6 +146,8 @@ def _write_manifest(recording: Recording, made: Tables, place: Path, sources: Ma
         text["noise"][name] = {kind: float(getattr(r.odometry_model, kind)[i]) for kind in KINDS_OF_NOISE}
     if "odometry" in made:
         text["odometry"] = table("odometry", hold="before")
+        if r.odometry_model.time_constant_s is not None:
+            text["odometry"]["time_constant_s"] = float(r.odometry_model.time_constant_s)
     if "reference" in made:
         text["reference"] = table("reference")
     (place / NAME).write_text(tomli_w.dumps(text), "utf-8")

@@ -6,12 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from cellslam.recordings.fitting.fit_noise import unmodelled
 from cellslam.recordings.fitting.fit_sizes import Learnt, learn
 from cellslam.recordings.importing.campaign import KINDS_OF_NOISE
-from cellslam.recordings.importing.manifest import Noise
+from cellslam.recordings.importing.manifest import COMMANDS, Commands, Noise
 from cellslam.scenarios import external_options
 from cellslam.scenarios.estimator_options import Request
 from cellslam.scenarios.keys import validate
@@ -99,7 +97,8 @@ def _requests(
 
 
 def changed_sheet(sheet: OdometryModel, changes: Mapping[str, Any]) -> OdometryModel:
-    """Return a data sheet in which `changes`, by "noise.COMPONENT.KIND" in m/s or rad/s, have their new values.
+    """Return a data sheet in which `changes`, by "noise.COMPONENT.KIND" in m/s or rad/s, have their new values; so has
+    "noise.commands.time_constant_s", in s.
 
     Raises InputError naming the key and what is allowed.
     """
@@ -107,9 +106,14 @@ def changed_sheet(sheet: OdometryModel, changes: Mapping[str, Any]) -> OdometryM
     for key, value in changes.items():
         _, _, rest = key.partition(".")
         component, _, kind = rest.partition(".")
+        if component == COMMANDS:
+            commands = validate(Commands, {kind: value}, f"noise.{component}.")
+            sheet = replace(sheet, time_constant_s=commands.time_constant_s)
+            continue
         if component not in COMPONENTS:
-            near = nearest_name(component, COMPONENTS)
-            raise InputError(f"{key}: unknown component '{component}'{near} (known: {', '.join(COMPONENTS)})")
+            known = (*COMPONENTS, COMMANDS)
+            near = nearest_name(component, known)
+            raise InputError(f"{key}: unknown component '{component}'{near} (known: {', '.join(known)})")
         checked = validate(Noise, {kind: value}, f"noise.{component}.")
         columns[kind][COMPONENTS.index(component)] = getattr(checked, kind)
-    return OdometryModel(*(np.asarray(columns[kind], np.float64) for kind in KINDS_OF_NOISE))
+    return replace(sheet, **columns)

@@ -9,6 +9,7 @@ likeliest (`slam.joint.sizes.stepped`):
 with share 1 in the first WHOLE passes, 1/2 in the others, and half of it where the drive has no answer to the sizes.
 The result are the sizes that fit best, of a pass whose slopes are the drive's own chance: mean of g_k^2 / I_k < FITS.
 They are taken where, and only where, they predict what is measured later better than the defaults do (`held_out`).
+So is the time constant with which a vehicle follows its commands, before them, where odometry is what it was commanded.
 
 Sources: Shumway and Stoffer, "An approach to time series smoothing and forecasting using the EM algorithm", Journal of
 Time Series Analysis 3(4), 1982; `slam.joint.sizes` has those of the steps.
@@ -27,6 +28,7 @@ from pydantic import BaseModel
 from cellslam.recordings.fitting.fit_noise import initial_options, unmodelled
 from cellslam.recordings.fitting.held_out import Worth, compared, scores
 from cellslam.recordings.importing.campaign import KINDS_OF_NOISE
+from cellslam.recordings.importing.manifest import COMMANDS
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, Floats, OdometryModel, Recording
 from cellslam.slam import registry
@@ -48,6 +50,8 @@ START_LIMIT_S = 150.0
 BURSTS = 3.0
 # Bias and scale that any odometer may have, m/s and rad/s: what a data sheet leaves out cannot be learnt.
 LEAST_BIAS, LEAST_SCALE = {"u_psi": 1e-3}, {"u_x": 0.01, "u_psi": 0.01}
+# With which a vehicle may follow its commands, s, of small robots to lorries; then factors of the best of these.
+TIME_CONSTANTS_S, BETWEEN = (0.1, 0.2, 0.4, 0.8), (2.0**-0.5, 2.0**0.5)
 
 
 @dataclass(frozen=True)
@@ -78,13 +82,19 @@ def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Pro
     """
     sheet = recording.odometry_model
     default = Learnt(dict(unmodelled(recording) if assumed is None else assumed), sheet, {}, None)
-    with progress("learning the sizes of errors", PASSES + 3) as advance:
+    commanded = sheet.time_constant_s == 0.0
+    tried = 1 + len(TIME_CONSTANTS_S) + len(BETWEEN) if commanded else 0
+    with progress("learning the sizes of errors", tried + PASSES + 3 + commanded) as advance:
+        followed = replace(default, odometry_model=_followed(recording, default, advance) if commanded else sheet)
+        recording = replace(recording, odometry_model=followed.odometry_model)
         fitted = _fitted(recording, assumed, advance)
         if fitted is None:
             return default
         # What is learnt of the odometry is taken beside what is learnt of measurements, or not.
         changes = {name: change for name, change in fitted.changes.items() if name not in COMPONENTS}
-        rivals = default, replace(fitted, odometry_model=sheet, changes=changes), fitted
+        rivals = [default, replace(fitted, odometry_model=followed.odometry_model, changes=changes), fitted]
+        if followed.odometry_model.time_constant_s:
+            rivals.append(followed)
         options, found = [EkfSlamOptions(**one.options) for one in rivals], list[Floats]()
         for one, own in zip(rivals, options, strict=True):
             found.append(scores(recording, Sheets(own, one.odometry_model), options))
@@ -92,6 +102,24 @@ def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Pro
     worth = [compared(found[0], own) for own in found]
     best = max(range(1, len(rivals)), key=lambda i: (worth[i].sure, worth[i].mean))
     return replace(rivals[best if worth[best].sure else 0], worth=worth[best])
+
+
+def _followed(recording: Recording, default: Learnt, advance: Callable[[int], None]) -> OdometryModel:
+    """Return the data sheet of commands with the time constant that predicts best what is measured later, if that is
+    surely better than that the vehicle follows at once."""
+    options = EkfSlamOptions(**default.options)
+
+    def score(time_constant_s: float) -> Floats:
+        sheet = replace(default.odometry_model, time_constant_s=time_constant_s)
+        advance(1)
+        return scores(recording, Sheets(options, sheet), [options])
+
+    at_once = score(0.0)
+    worth = {tau: compared(at_once, score(tau)) for tau in TIME_CONSTANTS_S}
+    best = max(worth, key=lambda tau: worth[tau].mean)
+    worth |= {tau: compared(at_once, score(tau)) for tau in (best * factor for factor in BETWEEN)}
+    best = max(worth, key=lambda tau: worth[tau].mean)
+    return replace(default.odometry_model, time_constant_s=best if worth[best].sure else 0.0)
 
 
 def _fitted(recording: Recording, assumed: Mapping[str, Any] | None, advance: Callable[[int], None]) -> Learnt | None:
@@ -198,6 +226,8 @@ def toml(path: Path, learnt: Learnt) -> str:
         if table:
             out += ["", f"[estimator.{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
     sheet = learnt.odometry_model
+    if sheet.time_constant_s:
+        out += ["", f"[noise.{COMMANDS}]", f"time_constant_s = {sheet.time_constant_s:.4g}"]
     for i, component in enumerate(COMPONENTS):
         values = {kind: getattr(sheet, kind)[i] for kind in KINDS_OF_NOISE}
         if any(values.values()):
@@ -211,7 +241,9 @@ def in_words(learnt: Learnt) -> list[str]:
         return ["sizes of errors as assumed: the clock offsets were never resolved, so nothing could be learnt"]
     if not learnt.worth.sure:
         return [f"kept the defaults: what was learnt does not surely predict better than they do ({learnt.worth})"]
-    lines = [
+    time_constant_s = learnt.odometry_model.time_constant_s
+    lines = [f"the vehicle follows its commands with {time_constant_s:.2g} s"] if time_constant_s else []
+    lines += [
         f"{sizes.in_words(name)}: {factor:.2g} times as large as assumed (+- {100.0 * deviation:.0f} %)"
         for name, (factor, deviation) in learnt.changes.items()
         if not 1.0 / NOTABLE < factor < NOTABLE

@@ -110,7 +110,7 @@ def build(campaign: Campaign) -> Recording:
     return Recording(
         time_s=times,
         odometry=nothing if motion is None else mean_velocities(motion, times, start_pose),
-        odometry_model=_model(campaign.noise),
+        odometry_model=_model(campaign),
         links=links,
         sites=sites,
         measurements=_measurements(campaign, rows_s, times),
@@ -207,11 +207,13 @@ def _surveys(campaign: Campaign, names: Sequence[str]) -> dict[str, Floats]:
     return {"position_m": survey[:, :3].copy(), "position_std_m": survey[:, 3:].copy()}
 
 
-def _model(noise: Mapping[str, Sequence[float]]) -> contract.OdometryModel:
+def _model(campaign: Campaign) -> contract.OdometryModel:
+    noise, follows_s = campaign.noise, None if campaign.odometry is None else campaign.odometry.follows_s
     for name in noise:
         if name not in KINDS_OF_NOISE:
             raise InputError(f"odometry noise: unknown '{name}' (known: {', '.join(KINDS_OF_NOISE)})")
-    return contract.OdometryModel(*(np.asarray(noise.get(name, NOTHING), np.float64) for name in KINDS_OF_NOISE))
+    rows = {name: np.asarray(noise.get(name, NOTHING), np.float64) for name in KINDS_OF_NOISE}
+    return contract.OdometryModel(**rows, time_constant_s=follows_s)
 
 
 def _reference(table: ReferenceTable) -> Reference:

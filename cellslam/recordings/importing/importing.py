@@ -127,7 +127,7 @@ def _odometry(table: Table, asked: DriveTable) -> OdometryTable:
     if asked.axes == "forward-right-down":
         other_way = ("u_y", "u_z", "u_psi", "u_theta")
         columns = {name: -values if name in other_way else values for name, values in columns.items()}
-    return OdometryTable(times, columns, hold, asked.valid_s, asked.lever_arm_m)
+    return OdometryTable(times, columns, hold, asked.valid_s, asked.lever_arm_m, asked.time_constant_s)
 
 
 def _differences(columns: dict[str, Floats], times: Floats) -> dict[str, Floats]:

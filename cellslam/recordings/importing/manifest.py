@@ -14,6 +14,7 @@ from cellslam.scenarios.keys import validate
 from cellslam.sim.data_files import text_of, toml_of
 from cellslam.sim.errors import InputError
 
+COMMANDS = "commands"  # how a data sheet calls what is no component of the odometry
 NAME = "recording.toml"
 Triple = tuple[float, float, float]
 Tables = TypeVar("Tables", bound=BaseModel)
@@ -81,6 +82,12 @@ class Noise(Table):
     scale: float = Field(0.0, ge=0, le=1, description="error of scale, share")
 
 
+class Commands(Table):
+    """How the vehicle follows what it is commanded."""
+
+    time_constant_s: float = Field(ge=0, le=10, description="with which the vehicle follows commands, s; 0: at once")
+
+
 class DriveTable(FileTable):
     """[odometry]"""
 
@@ -93,6 +100,10 @@ class DriveTable(FileTable):
     valid_s: float | None = Field(
         None, gt=0, description="how long a row is valid at most, s; inf: commands, which hold until the next; none: "
         "five times the median interval",
+    )  # fmt: skip
+    time_constant_s: float | None = Field(
+        None, ge=0, le=10, description="with which the vehicle follows commands, s; 0: not known; none: velocities are "
+        "measured, unless valid_s is inf",
     )  # fmt: skip
     axes: Literal["forward-left-up", "forward-right-down"] = Field("forward-left-up", description="axes of the body")
     lever_arm_m: Triple = Field((0.0, 0.0, 0.0), description="where the antenna is, from the point that is measured, m")

@@ -24,7 +24,8 @@ class OdometryTable:
     `hold`: "next", a row is valid until the next row; "before", since the row before; "linear", in between
     interpolate. `valid_s`: the longest time for which a row is valid, after which nothing was measured: infinite for
     commands, which hold until the next one; None: five median intervals. A component that is left out was not measured.
-    `lever_arm_m`: the array in the body frame of the point whose velocity this is.
+    `time_constant_s`: with which the vehicle follows commands; zero: nobody knows. None: it is measured, if `valid_s`
+    is not infinite. `lever_arm_m`: the array in the body frame of the point whose velocity this is.
     """
 
     time_s: ArrayLike
@@ -32,6 +33,12 @@ class OdometryTable:
     hold: str = "next"
     valid_s: float | None = None
     lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0)
+    time_constant_s: float | None = None
+
+    @property
+    def follows_s(self) -> float | None:
+        """The time constant with which the vehicle follows commands, 0 where nobody knows; None: they are none."""
+        return 0.0 if self.time_constant_s is None and self.valid_s == np.inf else self.time_constant_s
 
 
 @dataclass(frozen=True)
