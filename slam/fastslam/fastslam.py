@@ -10,7 +10,7 @@ State
 
 Recursion, and where it stands                                                    (a part: replaceable, `parts.py`)
     each snapshot                                                                 `_go_on`
-      predict    M <- f(M), for each particle;  P <- F P F^T + Q                  `predict_and_score` (compiled)
+      predict    M <- f(M), for each particle;  P <- F P F^T + Q                  `predict` (compiled)
                  u_k is a part of the state
       associate  innovations have the covariance H P H^T + R and the spread       `_associate`; parts `association`
                  of h(M) over the particles                                       and `birth`
@@ -61,7 +61,8 @@ from cellslam.slam.fastslam.fastslam_kernel import (
     Scores,
     end_block,
     innovate,
-    predict_and_score,
+    predict,
+    score,
     spread_over_particles,
     step_clocks,
     use,
@@ -202,9 +203,12 @@ class FastSlam(JointFilter):
         NO_BIRTH for none; the likeliest first."""
         m, V, work = len(measured.z), len(f.vts.slots), self._workspace_for(f, measured)
         scores = Scores(np.zeros(1, np.int64), np.empty(V, np.int64), np.empty((V, m)), np.empty((V, m)))
-        predict_and_score(f, errors, b, interval, measured, work, scores)
+        if interval.dt > 0.0:
+            predict(f, b, interval, work)
+        score(f, errors, measured, work, scores)
         found = self._hypotheses(f, measured, scores)
-        if self._core.step_m.any() and step_clocks(f, errors, b, measured, found[0], work, scores):
+        if self._core.step_m.any() and step_clocks(f, errors, b, measured, found[0], work):
+            score(f, errors, measured, work, scores)
             found = self._hypotheses(f, measured, scores)
         return found
 

@@ -1,8 +1,8 @@
 """Compiled: the steps of FastSLAM that are those of the joint filter, for one group of particles at a time.
 
-`predict_and_score` moves a group and scores its measurements against its VTs; `use` takes a snapshot in as it was
-associated; `innovate` linearises a block of snapshots; `end_block` tidies up after the update, which is done in
-NumPy (`fastslam.py`); `spread_over_particles` says by how much particles differ in what they expect.
+`predict` moves a group; `score` compares measurements with its VTs; `use` takes a snapshot in as it was associated;
+`innovate` linearises a block of snapshots; `end_block` tidies up after the update, which is done in NumPy
+(`fastslam.py`); `spread_over_particles` says by how much particles differ in what they expect.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import njit, part
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.joint.snapshot.association_kernel import score_pairs
 from cellslam.slam.joint.snapshot.motion_kernel import Interval
@@ -54,28 +54,22 @@ def workspace_for(f: Filter, measurements: int, rows: int) -> Workspace:
 
 
 @njit(cache=True, nogil=True)
-def predict_and_score(
-    f: Filter, a: ArrayErrors, b: Block, interval: Interval, seen: Measured, work: Workspace, out: Scores
-) -> None:
-    """Move a group by an interval, and write how the measurements of a snapshot fit its VTs."""
-    if interval.dt > 0.0:
-        advance(f, b, interval, work.step)
-    _score(f, a, seen, work, out)
+def predict(f: Filter, b: Block, interval: Interval, work: Workspace) -> None:
+    """Move a group by an interval."""
+    advance(f, b, interval, work.step)
 
 
 @njit(cache=True, nogil=True)
-def step_clocks(f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, w: Workspace, out: Scores) -> bool:
-    """Shift the clocks that the measurements, associated with the VTs `slot_of` (m,), show to have stepped, and score
-    again; return whether there is any."""
-    put(w.pairs.slot_of, slot_of)
-    shifted = shift_clocks(f, b, a, seen, w.jacobian, w.pairs)
-    if shifted:
-        _score(f, a, seen, w, out)
-    return shifted
+def step_clocks(f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, work: Workspace) -> bool:
+    """Shift the clocks that the measurements, associated with the VTs `slot_of` (m,), show to have stepped; return
+    whether there is any."""
+    put(work.pairs.slot_of, slot_of)
+    return shift_clocks(f, b, a, seen, work.jacobian, work.pairs)
 
 
-@part
-def _score(f: Filter, a: ArrayErrors, seen: Measured, work: Workspace, out: Scores) -> None:
+@njit(cache=True, nogil=True)
+def score(f: Filter, a: ArrayErrors, seen: Measured, work: Workspace, out: Scores) -> None:
+    """Write how the measurements of a snapshot fit the VTs of a group."""
     w, n = work.pairs, 0
     for link in range(len(seen.first) - 1):
         start, stop = seen.first[link], seen.first[link + 1]
