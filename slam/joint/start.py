@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from heapq import nlargest
 from itertools import product
+from operator import itemgetter
 
 import numpy as np
 
@@ -145,8 +147,11 @@ class Start:
 
     def combinations(self) -> Floats:
         """Return the likeliest combinations of offsets (C, S), in m."""
-        found = sorted(product(*self._likely()), key=lambda one: -sum(log for _, log in one))[:COMBINATIONS]
-        return np.array([[mean for mean, _ in one] for one in found])
+        found: list[tuple[tuple[float, ...], float]] = [((), 0.0)]
+        for likely in self._likely():  # of the first sites the likeliest go on: there are too many to sort at the end
+            more = (((*means, mean), log + own) for (means, log), (mean, own) in product(found, likely))
+            found = nlargest(COMBINATIONS, more, key=itemgetter(1))
+        return np.array([means for means, _ in found])
 
     def _likely(self) -> list[list[tuple[float, float]]]:
         """Return the offsets, in m, of the likely components of each site, and the logarithms of their weights."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -12,9 +13,10 @@ from cellslam.sim.recording.tables import CLOCK_PRIOR
 from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.joint.ekf_slam import EkfSlam
+from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.mixture import Mixture
 from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
-from cellslam.slam.joint.start import components
+from cellslam.slam.joint.start import COMBINATIONS, Start, begin, components
 from cellslam.slam.joint.state.states_kernel import differing
 
 
@@ -45,6 +47,23 @@ def test_moments_are_those_of_the_mixture(mixture: Mixture) -> None:
     assert len(mixture) == len(mixture.arrays.x) == 1
     np.testing.assert_array_equal(mixture.moments()[0], x1)
     np.testing.assert_array_equal(mixture.moments()[1], p1)
+
+
+@pytest.mark.parametrize(("sites", "many"), [(1, 40), (3, 12), (8, 200)])
+def test_the_likeliest_combinations_go_on_however_many_there_are(
+    monkeypatch: pytest.MonkeyPatch, sites: int, many: int
+) -> None:
+    rng, setup = np.random.default_rng(5), setup_of(tiny_drive())
+    likely = [[(float(m), float(-abs(m))) for m in rng.normal(0.0, 3.0, many)] for _ in range(sites)]
+    begun = begin(setup, core_of(setup, NO_ERRORS), NO_ERRORS, EkfSlamOptions())
+    monkeypatch.setattr(Start, "_likely", lambda _: likely)
+    found = begun.combinations()
+    assert found.shape == (COMBINATIONS, sites)
+    log = -np.abs(found).sum(axis=1)
+    assert (np.diff(log) <= 0.0).all() and len(np.unique(found, axis=0)) == COMBINATIONS
+    if sites < 8:  # else there are 10^18
+        every = sorted((sum(own for _, own in one) for one in product(*likely)), reverse=True)
+        np.testing.assert_allclose(log, every[:COMBINATIONS])
 
 
 def test_components_add_up_to_the_prior() -> None:
