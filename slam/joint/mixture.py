@@ -57,7 +57,7 @@ from cellslam.slam.model.measurement_model import jacobians
 from cellslam.slam.model.pose_moments import mixture_moments
 
 NEW_STATES, NEW_VTS = 160, 24  # that a snapshot may bring
-# Bytes of a mixture's covariances. While they grow there are two of them; work space and what the process had before
+# Bytes of all covariances. While a mixture grows there are two of its own; work space and what the process had before
 # come to as much again: below 2 GB.
 MOST_BYTES = 5e8
 HYPOTHESES = 4  # times as many VTs as are kept, where a VT may begin as several hypotheses
@@ -98,7 +98,8 @@ def _threads(process: int) -> ThreadPoolExecutor:
 @dataclass
 class Mixture:
     """K filters: `arrays`, each with a leading axis of at least K, their blocks, log-weights (K,), and the `influence`
-    of VTs on these; the map that is `remembered`, if any; and whether they are `full`: no state may enter any more."""
+    of VTs on these; the map that is `remembered`, if any; whether they are `full`: no state may enter any more; and how
+    many mixtures there are `beside`, which share the memory."""
 
     arrays: Filter
     blocks: Block
@@ -106,6 +107,7 @@ class Mixture:
     influence: Influence
     remembered: Remembered | None = None
     full: bool = False
+    beside: int = 0
 
     def __len__(self) -> int:
         return len(self.log_weight)
@@ -200,7 +202,7 @@ class Mixture:
     @property
     def _most_states(self) -> int:
         """How many states each filter can hold."""
-        return int(math.sqrt(MOST_BYTES / 8.0 / len(self.arrays.x)))
+        return int(math.sqrt(MOST_BYTES / (1 + self.beside) / 8.0 / len(self.arrays.x)))
 
     def reserve(self, states: int, vts: int) -> None:
         """Grow the arrays to hold so many more states and VTs."""

@@ -172,7 +172,7 @@ def begin(setup: Setup, core: Core, errors: ArrayErrors, options: EkfSlamOptions
         offsets[:, site] += means
         own = np.where(np.arange(len(sites)) == site, std, 0.0)
         mixture = new_mixture(setup, core, errors, offsets, own, options.vts, START_STATES)
-        mixture.arrays.links[:] = setup.links.site == site
+        mixture.arrays.links[:], mixture.beside = setup.links.site == site, len(sites) - 1
         mixture.influence.rest += logs
         mixture.log_weight += logs
         if options.known_calibration is not None:

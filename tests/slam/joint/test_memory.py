@@ -42,6 +42,7 @@ def test_uncertain_clocks_take_wider_components_rather_than_more(toy_recording: 
     one = EkfSlam()
     one.start(setup_of(replace(recording, sites=sites)), np.random.default_rng(0))
     assert one._start is not None and 500 < sum(map(len, one._start.mixtures)) <= start.MOST_FILTERS + 2
+    assert sum(8.0 * len(m) * m._most_states**2 for m in one._start.mixtures) <= mixture.MOST_BYTES
     assert any("components of 188 m, not 20 m" in line for line in one.remarks())
     few = EkfSlam()
     few.start(setup_of(recording), np.random.default_rng(0))
