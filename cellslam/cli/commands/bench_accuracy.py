@@ -133,7 +133,7 @@ def check(arguments: Namespace) -> int:
             found = {"status": "failed", "error": answer.reason} if isinstance(answer, Lost) else answer.row
             differing = list(differences(row, found))
             wrong += bool(differing)
-            verdict = ", ".join(differing) or "as said"
+            verdict = ", ".join(differing) or "as the entry says"
             print(f"{row['estimator']}, {row['scenario']}, trial {row['trial']}: {verdict}")
     count = len(estimators) * len(chosen)
     print(f"{count - wrong} of {count} drives are as the entry says, to {100 * TOLERANCE:g} %")
