@@ -46,7 +46,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--trials", metavar="N", type=whole, help=few_help)
     scenario_help = "this scenario of the suite alone; may be repeated"
     parser.add_argument("--scenario", metavar="NAME", dest="scenarios", help=scenario_help, **REPEATED)
-    add(parser, "--estimator", help="in place of all built-ins; by name or as module:Class; may be repeated")
+    add(parser, "--estimator", help="instead of all built-in ones; by name or as module:Class; may be repeated")
     set_help = (
         "change one option of an estimator, as in estimator.fastslam.lag=0; may be repeated: not the suite's result"
     )
@@ -56,7 +56,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--write", metavar="FILE.md", help=write_help)
     rows_help = "write the rows of the whole suite: an entry for 'bench leaderboard'"
     parser.add_argument("--rows", metavar="FILE.json", help=rows_help)
-    check_help = "verify an entry instead: drive a sample of its drives again, and compare; --estimator: whose"
+    check_help = "verify an entry instead: repeat a sample of its drives, and compare; --estimator: of which estimators"
     parser.add_argument("--check", metavar="FILE.json", help=check_help)
     sample_help = "how many drives --check takes, at random (default: 5)"
     parser.add_argument("--sample", metavar="N", type=whole, default=5, help=sample_help)
