@@ -21,11 +21,8 @@ def add_arguments(parser: ArgumentParser) -> None:
         "load the code and files that the results name for their worlds, too, to make those of the worst trials again"
     )
     parser.add_argument("--load", help=load_help, **FLAG)
-    add(
-        parser,
-        "--estimator",
-        help="estimator whose worst trials are shown; may be repeated (default: the estimator with the best median)",
-    )
+    whose_help = "estimator whose worst trials are shown; may be repeated (default: the one with the best median)"
+    add(parser, "--estimator", help=whose_help)
 
 
 def command(arguments: Namespace) -> None:
