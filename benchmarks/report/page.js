@@ -84,7 +84,7 @@ function summaryTable() {
   ];
   part("summary").append(
     sortable(all, lines.map(cells), keys.length + 1),
-    make("p", { class: "note" }, (data.single ? "" : `Below each value its ${data.confidence} % interval, by resampling the trials. `)
+    make("p", { class: "note" }, (data.single ? "" : `${data.summary.note} `)
       + "Position errors are horizontal, absolute, not aligned. Click a heading to sort."
       + (data.series.some((one) => one.oracle) ? " Oracle: was shown the truth." : "")),
   );
