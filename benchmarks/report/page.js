@@ -118,7 +118,7 @@ function failedTable() {
     part("failed").append(make("p", {}, "None."));
     return;
   }
-  const head = ["estimator", "trial", "seed", "what it said"].map((text) => make("th", { class: "word" }, text));
+  const head = ["estimator", "trial", "seed", "error"].map((text) => make("th", { class: "word" }, text));
   const body = rows.map((row) => make("tr", {},
     make("td", { class: "word" }, row.estimator), make("td", { class: "word" }, String(row.trial)),
     make("td", { class: "word" }, String(row.seed)), make("td", { class: "text" }, row.error,
