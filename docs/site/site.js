@@ -7,3 +7,6 @@ for (const table of document.querySelectorAll("table.docutils")) {
     [...row.cells].forEach((cell, column) => cell.setAttribute("data-heading", headings[column] ?? ""));
   }
 }
+for (const code of document.querySelectorAll("article :is(p, li) > code.literal")) {
+  if (code.textContent.length <= 30 && !code.closest("td")) code.classList.add("short");
+}
