@@ -101,5 +101,5 @@ def points_of(
     driven = {text for point in points for request in point.requests for text in (request.name, request.target)}
     for key in changed:
         if split(key)[1] not in driven:
-            raise InputError(f"{key}: that estimator is not driven (driven: {', '.join(sorted(driven))})")
+            raise InputError(f"{key}: that estimator is not run here (run: {', '.join(sorted(driven))})")
     return points

@@ -119,7 +119,7 @@ def check(arguments: Namespace) -> int:
     if unknown := [job for task in made.tasks for job in task.jobs if job.key not in stated]:
         raise InputError(f"{path}: {unknown[0].estimator} has other options here, or {one.name} another scenario")
     if not 1 <= arguments.sample <= len(made.tasks):
-        raise InputError(f"--sample {arguments.sample}: {one.name} has 1 to {len(made.tasks)} drives")
+        raise InputError(f"--sample {arguments.sample}: must be 1 to {len(made.tasks)}, the drives of {one.name}")
     jobs = processes(arguments)
     # Redrawn each time: who sends an entry in cannot know which drives it will be.
     chosen = secrets.SystemRandom().sample(made.tasks, arguments.sample)
@@ -181,5 +181,5 @@ def _trials(arguments: Namespace, one: Suite) -> int:
     if arguments.trials is None:
         return one.trials
     if not 1 <= arguments.trials <= one.trials:
-        raise InputError(f"--trials {arguments.trials}: {one.name} has 1 to {one.trials}")
+        raise InputError(f"--trials {arguments.trials}: must be 1 to {one.trials}, the trials of {one.name}")
     return int(arguments.trials)
