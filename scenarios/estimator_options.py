@@ -158,8 +158,8 @@ def _request(tables: Tables, target: str, ask: Ask | None) -> Request:
     try:
         if ask is None or module is None:
             return loaded(target, tables)
-        said, options, oracle = ask(module, target, tables)
-        name = registry.name_of(target, said)
+        own_name, options, oracle = ask(module, target, tables)
+        name = registry.name_of(target, own_name)
         return external_request(name, options, oracle, "" if name == target else target)
     except registry.BrokenPluginError as error:
         return Request(target, broken(error), None)

@@ -35,7 +35,7 @@ MOST_POINTS = 100_000
 
 @dataclass(frozen=True)
 class Sweep:
-    """What is swept: a scenario, settings that hold for all points, and the axes; None: not said."""
+    """What is swept: a scenario, settings that hold for all points, and the axes; None: not given."""
 
     scenario: str
     overrides: Settings = field(default_factory=dict)
@@ -230,8 +230,8 @@ def _axes(config: SweepFile) -> Iterator[Axis]:
     if config.zip:
         lengths = {key: len(values) for key, values in config.zip.items()}
         if len(set(lengths.values())) > 1:
-            said = ", ".join(f"{key} has {length}" for key, length in lengths.items())
-            raise InputError(f"zip: keys need equally many values ({said})")
+            each = ", ".join(f"{key} has {length}" for key, length in lengths.items())
+            raise InputError(f"zip: keys need equally many values ({each})")
         yield tuple(dict(zip(config.zip, row, strict=True)) for row in zip(*config.zip.values(), strict=True))
     if config.latin is not None:
         yield latin_axis(config.latin)

@@ -156,10 +156,12 @@ class Estimate(Described):
 
 @runtime_checkable
 class Estimator(Protocol):
-    """What the runner drives. Optional: `warm_up()` (compile; not timed), `finish()` (a smoother's poses (T, 6)) and,
-    asked for after it, `calibration()` (a `Calibration`: what the drive has shown of the array, or None), `vt_map()`
-    (a `VtMap`: what it has shown of the VTs, with what `Setup.map` knew before, or None) and `remarks()` (lines of text
-    about the drive)."""
+    """The methods of an estimator, which the runner calls.
+
+    These are optional. `warm_up()` compiles; it is not timed. After the drive `finish()` returns a smoother's poses
+    (T, 6), `calibration()` a `Calibration` of the array or None, `vt_map()` a `VtMap` of the VTs, those of `Setup.map`
+    included, or None, and `remarks()` lines of text about the drive.
+    """
 
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False

@@ -1,4 +1,15 @@
-"""Dead reckoning: the odometry integrated from the start pose, with the covariance that its data sheet implies."""
+"""Dead reckoning: the odometry integrated from the start pose, with the covariance that its data sheet implies.
+
+State
+    pose (6), and those biases b and scale errors s of the odometry that its data sheet has, with their covariance P:
+    the joint EKF (`joint/ekf_slam.py`) without clocks and virtual transmitters
+Recursion, for odometry u over dt with white noise of density q
+    predict     pose <- pose + (u - b) / (1 + s) dt in the frame of the middle heading
+                P <- F P F^T + Q,  Q = B diag(q^2 / dt) B^T             `move` of joint/snapshot/motion_kernel.py
+No measurement is used: there is no update, b and s stay at zero, and there is no weight.
+
+Source: the extended FastSLAM paper, section V (proprioception only), with the velocities of eq. 14.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +27,7 @@ from cellslam.slam.joint.state.layout import one_of
 
 
 class DeadReckoning:
-    """Integrates mean body velocities; takes no options.
-
-    The covariance is that of a linearised filter over pose (6,), odometry biases (6,) and scales (6,). Source: paper,
-    section V (proprioception only), with the velocities of eq. 14.
-    """
+    """Integrates mean body velocities (eq. 14) and their covariance; takes no options; see the module."""
 
     name: ClassVar[str] = "dead-reckoning"
     requires_truth: ClassVar[bool] = False

@@ -1,4 +1,13 @@
-"""Estimators that are shown part of the truth: what EKF-SLAM would reach if one of its problems were solved."""
+"""Estimators that are given part of the truth: what a filter would reach if one of its problems were solved.
+
+State, prediction, update and weight are those of the filter that each is made of. What is given takes the place of
+
+    oracle-association  `associate` of EKF-SLAM: a measurement is of its true VT, clutter of none   `KnownAssociation`
+    oracle-fastslam     the parts association, birth and pruning of FastSLAM, in the same way
+                                                                                           `FastSlamKnownAssociation`
+    oracle-map          the births of EKF-SLAM: the true VTs v of every link are known from the start, with covariance
+                        zero; clock offsets and associations are estimated                                 `KnownMap`
+"""
 
 from __future__ import annotations
 

@@ -89,13 +89,13 @@ BUILT_IN = (
     Listed(
         "oracle-association",
         "cellslam.slam.oracles:KnownAssociation",
-        "EKF-SLAM that is told the true associations (oracle)",
+        "EKF-SLAM that is given the true associations (oracle)",
         oracle=True,
     ),
     Listed(
         "oracle-fastslam",
         "cellslam.slam.oracles:FastSlamKnownAssociation",
-        "FastSLAM that is told the true associations (oracle)",
+        "FastSLAM that is given the true associations (oracle)",
         oracle=True,
     ),
     Listed(
@@ -169,14 +169,14 @@ def module_of(name: str) -> str | None:
     return next(known, None)
 
 
-def name_of(target: str, said: Any) -> str:
+def name_of(target: str, own_name: Any) -> str:
     """Return what an estimator is called in keys, rows, tables and figures.
 
-    One that was asked for as `module:Class` has the name that its class itself says, not a base of it, in its attribute
-    `name`, unless that is no plain name, or that of an estimator that is known.
+    An estimator `module:Class` has the name in the attribute `name` of the class itself, not of a base of it, unless
+    that is no plain name, or the name of an estimator that is known.
     """
-    plain = isinstance(said, str) and _PLAIN_NAME.fullmatch(said)
-    return said if ":" in target and plain and said not in names() else target
+    plain = isinstance(own_name, str) and _PLAIN_NAME.fullmatch(own_name)
+    return own_name if ":" in target and plain and own_name not in names() else target
 
 
 def options_model(estimator: type[Any]) -> type[Any] | None:

@@ -1,12 +1,13 @@
-"""The posterior Cramer-Rao bound of a drive: what a filter that makes no mistake of association could reach.
+"""The posterior Cramér-Rao bound of a drive: what a filter that makes no mistake of association could reach.
 
 The covariance recursion of the joint filter over pose, odometry biases and scales, clock offsets, the VTs of every site
 and the measurement errors that persist, with all Jacobians at the truth, the true associations, the odometry's noise
 model and each measurement's true covariance. It is conditional on the realised trajectory and detections. Estimators
 that use the priors, and single trials, can fall below it.
 
-State x = [pose r, odometry biases and scales, clock rates and offsets b, VTs v, errors that persist e], covariance P,
-and m, the error of the mean of the filter that has this covariance:
+State x = [pose r, odometry biases and scales, clock rates and offsets b, VTs v, errors that persist e] with covariance
+P (`Joint`). m is the error of the mean, estimate less truth, of the filter that has this covariance on this drive: jump
+and residual are what was really drawn of the odometry's and the measurements' errors, and m does not change the bound.
 
     prediction   P <- F P F^T + Q,  m <- F m + jump                                            `linear_model.motion_of`
                  e <- a e + sqrt(1 - a^2) noise, a = exp(-step / (AREA l)), l: correlation     `predict`
@@ -136,7 +137,7 @@ class Joint:
 def bound(
     recording: Recording, progress: Progress = silent, calibrated: bool = False, merging: Cause | None = None
 ) -> BoundResult:
-    """Return the posterior Cramer-Rao bound of a recording with truth.
+    """Return the posterior Cramér-Rao bound of a recording with truth.
 
     VTs enter with a flat prior at their first detection, one for all links of a site; transmitters that were surveyed
     are there from the start, as uncertain as the survey. Errors that persist are states too, where
@@ -164,7 +165,7 @@ def recursion(
         joint.add(known.there, known.m[: known.n], known.P[: known.n, : known.n])
     new = joint.index[prior.state] < 0  # a known map has it in
     joint.add(prior.state[new], prior.error[new], np.diag(prior.variance[new]))
-    with progress("Cramer-Rao bound", count) as advance:
+    with progress("Cramér-Rao bound", count) as advance:
         for t in range(count):
             if t > 0:
                 a = states.decay[t, states.kind[joint.there]]

@@ -64,7 +64,7 @@ class ScenarioEnv(gym.Env[Observation, Floats]):
 
     @abstractmethod
     def _info(self) -> dict[str, Any]:
-        """Return the truth, and what is said of it."""
+        """Return the truth, and what describes it."""
 
     @abstractmethod
     def _scene(self) -> tuple[Scene, Floats, Floats | None]:

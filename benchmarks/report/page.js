@@ -84,7 +84,7 @@ function summaryTable() {
   ];
   part("summary").append(
     sortable(all, lines.map(cells), keys.length + 1),
-    make("p", { class: "note" }, (data.single ? "" : `Below each value its ${data.confidence} % interval, by resampling the trials. `)
+    make("p", { class: "note" }, (data.single ? "" : `${data.summary.note} `)
       + "Position errors are horizontal, absolute, not aligned. Click a heading to sort."
       + (data.series.some((one) => one.oracle) ? " Oracle: was shown the truth." : "")),
   );
@@ -118,7 +118,7 @@ function failedTable() {
     part("failed").append(make("p", {}, "None."));
     return;
   }
-  const head = ["estimator", "trial", "seed", "what it said"].map((text) => make("th", { class: "word" }, text));
+  const head = ["estimator", "trial", "seed", "error"].map((text) => make("th", { class: "word" }, text));
   const body = rows.map((row) => make("tr", {},
     make("td", { class: "word" }, row.estimator), make("td", { class: "word" }, String(row.trial)),
     make("td", { class: "word" }, String(row.seed)), make("td", { class: "text" }, row.error,

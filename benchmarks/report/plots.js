@@ -75,7 +75,7 @@ function sweepPlots() {
   const metrics = metricsIn((name) => data.curves.some((curve) => curve.lines.some((line) => name in line.metrics)));
   home.append(make("div", { class: "controls" }, chooser("Metric", metrics, draw)),
     make("div", { class: "plots" }, ...plots),
-    make("p", { class: "note" }, `Medians over trials with ${data.confidence} % intervals.`));
+    make("p", { class: "note" }, `Medians over trials. ${data.summary.note}`));
   draw(metrics[0][0]);
 }
 

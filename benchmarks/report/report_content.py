@@ -29,6 +29,7 @@ from cellslam.benchmarks.figures.sweep.sweep_data import (
 from cellslam.benchmarks.report.scene import rounded
 from cellslam.benchmarks.report.worst_trials import Choice, failed_trials, trial_sections, worst_trials
 from cellslam.benchmarks.scores.metrics import METRIC, METRIC_KEYS
+from cellslam.benchmarks.scores.statistics import LEAST_VALUES
 from cellslam.benchmarks.sweeps.rows import oracles, provenance
 from cellslam.benchmarks.sweeps.store import reading
 from cellslam.benchmarks.tables.formats import Column, columns_of
@@ -43,6 +44,8 @@ DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot"}  # matplotlib
 RMSE, EQUAL = "position_rmse_m", 0.01  # differences of one in a hundred are none in a single trial
 MORE_DIGITS = 1  # than in tables: figures are looked into
 COLUMNS = columns_of("report", (*METRIC_KEYS, *RATIOS))
+WITH_INTERVALS = f"Intervals: {100 * CONFIDENCE:g} %, by resampling the trials."
+WITHOUT_INTERVALS = f"No confidence intervals: they need {LEAST_VALUES} trials."
 
 
 def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
@@ -71,7 +74,6 @@ def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
         "lead": _who_did_best(data.panels[0].series, marked) if single else None,
         "columns": {metric: _heading(metric, known.heading) for metric, known in METRIC.items()},
         "metrics": {key: metric.label for key, metric in PLOTTED.items()},
-        "confidence": 100 * CONFIDENCE,
         "worst": {"metric": choice.metric, "heading": METRIC[choice.metric].label or choice.metric},
         "heading": "Drive" if single else "Worst trials",
         "trials": sections,
@@ -115,7 +117,11 @@ def _summary(data: SweepData) -> dict[str, Any]:
     empty = [i for i in range(len(COLUMNS)) if all(line["cells"][i] is None for line in lines)]
     for line in lines:
         line["cells"] = [cell for i, cell in enumerate(line["cells"]) if i not in empty]
-    return {"keys": keys, "headings": [h for i, h in enumerate(headings) if i not in empty], "lines": lines}
+    there = any(cell is not None and cell[1] is not None for line in lines for cell in line["cells"])
+    return {
+        "keys": keys, "headings": [h for i, h in enumerate(headings) if i not in empty], "lines": lines,
+        "note": WITH_INTERVALS if there else WITHOUT_INTERVALS,
+    }  # fmt: skip
 
 
 def _cell(one: Series, column: Column) -> list[float | None] | None:

@@ -8,7 +8,7 @@ function trialArticle(trial, number) {
   const charts = Object.fromEntries(["error", "nees", "offset"].map((name) => [name, make("div", { class: "plot" })]));
   const last = Math.max(trial.time.length - 1, 0);
   const slider = make("input", { type: "range", min: 0, max: last, value: last, step: 1, "aria-label": trial.counts ?? "time" });
-  const said = make("output", {});
+  const moment = make("output", {});
   const play = make("button", { type: "button", title: "space; arrows step" }, "Play");
   const [far, all] = [0, 1].map(() => make("input", { type: "checkbox" }));
   all.checked = Boolean(trial.at_once);
@@ -17,13 +17,13 @@ function trialArticle(trial, number) {
     trial.label && !data.single ? make("h3", {}, headingOf(trial, number)) : null,
     trial.label && !data.single ? make("p", {}, `${data.worst.heading}: ${shown(trial.value)}`) : null,
     trial.note ? make("p", { class: "note" }, trial.note) : null,
-    trial.rows && !data.single ? trialTable(trial) : null,
-    last > 0 ? make("div", { class: "controls" }, play, slider, said,
+    last > 0 ? make("div", { class: "controls" }, play, slider, moment,
       trial.scene.vts ? make("label", {}, far, " zoom out to all virtual transmitters") : null,
       trial.scene.rays?.length ? make("label", {}, all, " all rays at once") : null) : null,
     shows ? scene : null, shows ? legend : null,
-    trial.estimates.length ? make("div", { class: "plots three" }, ...Object.values(charts)) : null);
-  const player = { article, trial, last, parts: { scene, legend, charts, slider, said, play, far, all }, shows, step: last };
+    trial.estimates.length ? make("div", { class: "plots three" }, ...Object.values(charts)) : null,
+    trial.rows && !data.single ? make("details", {}, make("summary", {}, "All metrics of this trial"), trialTable(trial)) : null);
+  const player = { article, trial, last, parts: { scene, legend, charts, slider, moment, play, far, all }, shows, step: last };
   players.push(player);
   return player;
 }
@@ -49,7 +49,7 @@ function begin(player) {
   const show = () => {
     const { step } = player;
     parts.slider.value = step;
-    parts.said.textContent = trial.counts ? `${trial.counts} ${trial.time[step]}` : `t = ${(trial.time[step] ?? 0).toFixed(1)} s`;
+    parts.moment.textContent = trial.counts ? `${trial.counts} ${trial.time[step]}` : `t = ${(trial.time[step] ?? 0).toFixed(1)} s`;
     if (moving) moving(step, parts.all.checked);
     for (const chart of cursors) Plotly.relayout(chart, { "shapes[0].x0": trial.time[step], "shapes[0].x1": trial.time[step] });
   };

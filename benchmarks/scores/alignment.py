@@ -1,4 +1,4 @@
-"""An estimate laid onto the truth: for campaigns whose start is arbitrary. Done on request only, and then said."""
+"""An estimate aligned with the truth: for campaigns whose start is arbitrary. Done on request only; results say so."""
 
 from __future__ import annotations
 

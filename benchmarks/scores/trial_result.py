@@ -23,7 +23,7 @@ class TrialResult(Described):
 
     `poses` (T, 6) and `covariances` (T, 6, 6): the answer that is scored. `smoothed`: the poses are those of
     `finish()`, which used the whole drive, while the covariances are still those of the snapshots.
-    `association` (M,): VT id per measurement, -1 for none, as said in its own snapshot. `clock_offset_m` and
+    `association` (M,): VT id per measurement, -1 for none, as answered in its own snapshot. `clock_offset_m` and
     `clock_offset_variance_m2` (T, S). `vts`, `walls`: the last ones reported.
     `calibration`: of the array, at the end; `vt_map`: what is left for the next drive. None: the estimator does not
     give this.

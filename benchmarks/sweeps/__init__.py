@@ -1,1 +1,2 @@
-"""Sweeps: many trials in worker processes, kept in one store that can be resumed. `sweeping` is the place to begin."""
+"""Sweeps: many trials in worker processes, kept in one store that can be resumed. Begin with `sweeping`, which
+says what stands where."""

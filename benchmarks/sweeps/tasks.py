@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 KEY_LENGTH = 32
 KNOWN, CHANGED = "known_world", "overrides"  # keys of a world that is one of others, and of what is changed in it
-Asked = dict[str, dict[tuple[str, str, str], bool]]  # by world: name, target and options of an estimator; an oracle?
+Wanted = dict[str, dict[tuple[str, str, str], bool]]  # by world: name, target and options of an estimator; an oracle?
 
 
 @dataclass(frozen=True)
@@ -121,21 +121,21 @@ def plan(points: Sequence[Point], trials: int | Sequence[int], seed: int, trajec
     Points that differ in estimators' options alone share a world, which is then made once a trial; a job that
     several points share is done once.
     """
-    jobs: Asked = {}
+    jobs: Wanted = {}
     cities, counts = set(), dict[str, int]()
     each = [trials] * len(points) if isinstance(trials, int) else trials
     for point, count in zip(points, each, strict=True):
         world = world_json(point.scenario)
         counts[world] = max(count, counts.get(world, 0))
         cities.add(point.scenario.city.model_dump_json())
-        asked = {(one.name, one.target, options_json(one)): one.oracle for one in point.requests}
-        jobs.setdefault(world, {}).update(asked)
+        wanted = {(one.name, one.target, options_json(one)): one.oracle for one in point.requests}
+        jobs.setdefault(world, {}).update(wanted)
     return _planned(jobs, counts, seed, trajectories, trial_by_trial=len(cities) <= KEPT_SCENES)
 
 
 def plan_known(world: KnownWorld, trials: int, seed: int, trajectories: bool = True) -> Plan:
     """Return the tasks of a known world of others: all its entries, those of its ladder too, in every trial."""
-    jobs: Asked = {}
+    jobs: Wanted = {}
     for entry in (*world.entries, *world.ladder):
         text, name, options = asked_by(world, entry)
         oracle = loaded(name, {name: entry.options}).oracle
@@ -150,12 +150,12 @@ def asked_by(world: KnownWorld, entry: Entry) -> tuple[str, str, str]:
     return text, entry.estimator, options_json(loaded(entry.estimator, {entry.estimator: entry.options}))
 
 
-def _planned(jobs: Asked, trials: Mapping[str, int], seed: int, trajectories: bool, trial_by_trial: bool) -> Plan:
+def _planned(jobs: Wanted, trials: Mapping[str, int], seed: int, trajectories: bool, trial_by_trial: bool) -> Plan:
     order = [(world, trial) for world in jobs for trial in range(trials[world])]
     if trial_by_trial:
         order.sort(key=lambda task: task[1])
-    said = {options for asked in jobs.values() for _, _, options in asked}
-    whole = {text: with_contents(text) for text in (*jobs, *said)}
+    options_used = {options for estimators in jobs.values() for _, _, options in estimators}
+    whole = {text: with_contents(text) for text in (*jobs, *options_used)}
 
     def jobs_of(world: str, trial: int) -> tuple[Job, ...]:
         at = str(seed), str(trial)
@@ -165,7 +165,7 @@ def _planned(jobs: Asked, trials: Mapping[str, int], seed: int, trajectories: bo
         )
 
     tasks = tuple(Task(world, trial, seed, jobs_of(world, trial), trajectories) for world, trial in order)
-    return Plan(tasks, {identity(w): w for w in jobs}, {identity(o): o for o in said})
+    return Plan(tasks, {identity(w): w for w in jobs}, {identity(o): o for o in options_used})
 
 
 def world_json(scenario: Scenario) -> str:

@@ -123,7 +123,7 @@ def integrity(
         ways = {"as claimed": AS_CLAIMED}
         if overbound is not None and len(names) == 1 and (name := names.pop()) in overbound.claims:
             if shared := sorted(set(group["seed"]) & set(overbound.seeds)):
-                raise InputError(f"the overbound was fitted on drives of seed {shared[0]}: test it on those of others")
+                raise InputError(f"the overbound was fitted on drives of seed {shared[0]}: test it on other seeds")
             ways["overbound"] = overbound.claims[name]
         for way, claim in ways.items():
             pairs = [(drive, *one.protection(question.direction, claim, question.risk)) for drive, one in kept]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.scores.metrics import METRIC, shown_in
+from cellslam.benchmarks.scores.statistics import LEAST_VALUES
 from cellslam.benchmarks.tables.formats import Column, cell
 from cellslam.benchmarks.tables.summaries import BOUND, EFFICIENCY, MERGED
 
@@ -24,11 +25,6 @@ WITH_INTERVAL = ("position_rmse_m", EFFICIENCY, MERGED)
 # In a narrow window these stay, these go last, in this order, and others before them, from the right.
 STAY = ("position_rmse_m", LOST, EFFICIENCY, "realtime_factor")
 GO_LAST = (OK, "position_max_m", "association_recall", "nees_mean", MERGED)
-_LEGEND = (
-    "medians over the trials that are ok, in brackets 95 % intervals; efficiency ratio: root mean square error over "
-    "that of the bound, merging counted in: of the bound with merging as an error that persists; "
-    f"lost: RMSE above {LOST_M:g} m, or failed"
-)
 
 
 def bound_row(bound: BoundResult) -> dict[str, Any]:
@@ -76,10 +72,27 @@ def results_table(
     for (name, own), *texts in zip(lines.items(), *cells.values(), strict=True):
         mark = " (oracle)" if name in oracles else "" if (own["status"] == "ok").any() else " (failed)"
         table.add_row(escape(f"{name}{mark}"), *map(escape, texts))
-    notes = [_LEGEND] if several else []
+    notes = [_legend(cells)] if several else []
     notes += [f"in a wider window: {', '.join(heading.split()[0] for heading in left_out)}"] if left_out else []
     table.caption = "\n".join([*notes, *(["oracle: was shown the truth"] if oracles else [])]) or None
     return table
+
+
+def _legend(cells: Mapping[str, Sequence[str]]) -> str:
+    """Return what the columns of several trials mean, of those that are shown."""
+    intervals = any("[" in text for texts in cells.values() for text in texts)
+    parts = [
+        "medians over the trials that are ok, "
+        + ("in brackets 95 % intervals" if intervals else f"without intervals, which need {LEAST_VALUES} trials"),
+        "efficiency ratio: root mean square error over that of the bound"
+        + (
+            ", merging counted in: over that of the bound with merging as an error that persists"
+            if _heading(MERGED) in cells
+            else ""
+        ),
+        f"lost: RMSE above {LOST_M:g} m, or failed",
+    ]
+    return "; ".join(parts)
 
 
 def _heading(key: str) -> str:

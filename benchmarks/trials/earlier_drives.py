@@ -2,7 +2,7 @@
 
 The drive of a trial is the last of its sequence, so that one world is met after any number of drives; the earlier ones
 have the trial's city, route and sites, and all else of trials that nothing else asks for. They start at a known pose,
-which gives their map its frame: how well the start is known is said of the last drive alone, so that a vehicle may be
+which gives their map its frame: start deviations that are given hold for the last drive alone, so that a vehicle may be
 put down anywhere in a map that is right. Where several cars drove before it, each begins with the map that all of them
 left together.
 """

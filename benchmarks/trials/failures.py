@@ -13,7 +13,7 @@ MOST_DETAILS = 20_000
 
 
 class ExternalError(Exception):
-    """An estimator failed in its own process: why in one line, and what it said of it."""
+    """An estimator failed in its own process: the reason in one line, and what it printed."""
 
     def __init__(self, reason: str, details: str = "") -> None:
         super().__init__(reason)

@@ -56,7 +56,7 @@ SHARED: dict[str, dict[str, Any]] = {
     },
     "--seed": {"metavar": "S", "type": whole, "default": 0, "help": "root seed of all random draws (default: 0)"},
     "--trial": {"metavar": "N", "type": whole, "default": 0, "help": "which trial to record (default: 0)"},
-    "--json": {"help": "print the rows as one JSON array on stdout, nothing else", **FLAG},
+    "--json": {"help": "print only the rows, as one JSON array, on stdout", **FLAG},
     "--no-figures": {"help": "do not draw figures", **FLAG},
     "--out": {"metavar": "DIR", "help": "folder of the results; one that exists is resumed"},
     # What an estimator is given.
@@ -87,37 +87,40 @@ SHARED: dict[str, dict[str, Any]] = {
         "run lund-530 --estimator ekf-slam --seed 1 --map map.h5",
     },
     # How much is done, and where.
-    "--dry-run": {"help": "say how many trials there are and how long they may take; do nothing", **FLAG},
+    "--dry-run": {"help": "print how many trials there are and how long they may take; run none", **FLAG},
     "--live": {"help": "show the table of results so far, and why rows failed, every few seconds", **FLAG},
-    "--retry-failed": {"help": "do trials that are stored as failed again", **FLAG},
-    "--no-trajectories": {"help": "keep the rows alone: saves disk space, and costs error curves and reports", **FLAG},
+    "--retry-failed": {"help": "repeat trials that are stored as failed", **FLAG},
+    "--no-trajectories": {
+        "help": "store the rows alone: saves disk space, but without error curves and reports",
+        **FLAG,
+    },
     "--executor": {
         "choices": ("serial", "processes", "dask"),
         "default": "processes",
-        "help": "where to work (default: processes)",
+        "help": "what runs the trials (default: processes)",
     },
     "--jobs": {"metavar": "N", "type": whole, "help": "number of processes (default: one a core)"},
     "--scheduler": {"metavar": "ADDRESS", "help": "a running Dask scheduler, as tcp://host:8786"},
     "--shard": {
         "metavar": "I/N",
         "type": shard,
-        "help": "do the I-th of N shares of the work, into a database of its own; DIR may be on a network disk, and "
+        "help": "run the I-th of N shares of the work, into a database of its own; DIR may be on a network disk, and "
         "'merge', 'watch', 'table' and the like see all shards in it",
     },
     "--script": {
         "choices": ("slurm", "pbs", "parallel"),
-        "help": "print a job script that does all in shards, each some half an hour by one trial timed now; do nothing",
+        "help": "time one trial now, and print a job script that works in shards of some half an hour each",
     },
     "--time-limit": {
         "metavar": "SECONDS",
         "type": number,
         "default": 3600.0,
-        "help": "time of an estimator in a process of its own for one trial, then it is killed (default: 3600)",
+        "help": "longest time of one trial of an estimator in a process of its own; then it is killed (default: 3600)",
     },
     "--memory-limit": {
         "metavar": "GIB",
         "type": number,
-        "help": "memory of a process and of all that it starts (default: fair share)",
+        "help": "largest memory of a process and of all that it starts (default: fair share)",
     },
     # How results are summed up.
     "--rows": {
@@ -128,7 +131,7 @@ SHARED: dict[str, dict[str, Any]] = {
     "--format": {
         "choices": ("text", "md", "csv", "latex", "json"),
         "default": "text",
-        "help": "csv and json hold the plain numbers",
+        "help": "csv and json have the plain numbers",
     },
 }
 LIMITS = ("--time-limit", "--memory-limit")

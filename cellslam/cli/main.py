@@ -20,50 +20,50 @@ from cellslam.sim.errors import InputError, nearest_name, one_line
 SECTIONS = {
     "simulate and estimate": {
         "run": "simulate a scenario, run estimators on it, score them",
-        "init": "write a scenario file of a city, with a route and sites, to begin from",
-        "sweep": "many variants and trials of a scenario, in parallel, resumable",
-        "reproduce": "the published figures of a known world of others, beside one's own",
-        "check-estimator": "check an estimator against the contract; say what to fix",
+        "init": "write a scenario file for a city, with a route and sites",
+        "sweep": "run many variants and trials of a scenario, in parallel; can be resumed",
+        "reproduce": "compute the published figures of another group's world, beside theirs",
+        "check-estimator": "check an estimator against the contract, and name what to fix",
     },
     "results of a sweep": {
-        "watch": "what is done of a sweep, here or elsewhere; time left, failures",
-        "merge": "the shards of a sweep as one; what is missing of them",
-        "table": "the results of a sweep as a table",
-        "figures": "the figures of a sweep, as PNG and PDF",
-        "report": "one HTML page of a sweep: tables, plots, worst trials",
-        "consistency": "whether estimators know how wrong they are: errors and claims",
-        "integrity": "protection levels: which alert limits estimators serve, and how often they mislead",
-        "fit-overbound": "how much claims must be widened, of training drives, for 'integrity'",
+        "watch": "show how far a sweep is, here or elsewhere: time left, failures",
+        "merge": "join the shards of a sweep, and list what is missing",
+        "table": "print the results of a sweep as a table",
+        "figures": "draw the figures of a sweep, as PNG and PDF",
+        "report": "write one HTML page of a sweep: tables, plots, worst trials",
+        "consistency": "compare the errors of estimators with the covariances that they claim",
+        "integrity": "print protection levels: which alert limits estimators serve, how often they mislead",
+        "fit-overbound": "fit, to training drives, how much claims must be widened for 'integrity'",
     },
     "recordings and measured data": {
         "record": "simulate a scenario and keep it as a recording",
         "replay": "run estimators on a recording and score them",
-        "import": "a recording of tables with a recording.toml, or by an adapter",
-        "inspect": "what is in a recording, what is missing, what looks wrong",
-        "export": "a recording or an estimate as CSV, .mat, TUM, GeoJSON, PLY or HTML",
-        "fit-noise": "noise, detection and clutter as the recording itself shows them",
-        "simulate-from": "a recording of paths that another ray tracer found",
+        "import": "make a recording of tables with a recording.toml, or by an adapter",
+        "inspect": "print what a recording has, what is missing, what looks wrong",
+        "export": "write a recording or an estimate as CSV, .mat, TUM, GeoJSON, PLY or HTML",
+        "fit-noise": "estimate noise, detection and clutter from a recording",
+        "simulate-from": "make a recording of paths that another ray tracer found",
     },
     "sets of drives to learn from": {
-        "dataset list": "the sets that are known by name",
+        "dataset list": "list the sets that are known by name",
         "dataset make": "simulate the drives of a set, in shards if need be",
-        "dataset check": "whether the drives of a set are as they were made",
+        "dataset check": "check whether the drives of a set are as they were made",
     },
-    "look up": {
-        "list": "the scenarios, suites and estimators that are known by name",
-        "show": "the keys of a scenario: value, unit, range, meaning",
-        "doctor": "versions, cores, caches and extras on one screen, for a question",
+    "reference": {
+        "list": "list the scenarios, suites and estimators that are known by name",
+        "show": "print the keys of a scenario: value, unit, range, meaning",
+        "doctor": "print versions, cores, caches and extras, to send with a question",
     },
-    "maps that drives leave": {"map join": "the maps that several cars left, as one"},
-    "look at cities, generate them, trace paths in them": {
-        "city inspect": "what a city consists of, and pictures of it",
-        "city generate": "draw a city, and write it with a scenario that drives in it",
-        "city trace": "all paths from transmitters to receivers, as a table",
+    "maps that drives leave": {"map join": "join the maps that several vehicles left"},
+    "cities, and the paths in them": {
+        "city inspect": "print what a city consists of, and draw it",
+        "city generate": "generate a city, with a scenario that drives in it",
+        "city trace": "write all paths from transmitters to receivers as a table",
     },
-    "measure accuracy on fixed suites, and look at one snapshot": {
-        "bench accuracy": "a fixed suite of scenarios, seeds and trials, for comparison",
-        "bench leaderboard": "one page of all entries to a suite, the best first",
-        "bench snapshot": "picture of one snapshot at signal level: spectrum and paths",
+    "accuracy on fixed suites, and one snapshot at signal level": {
+        "bench accuracy": "score estimators on a fixed suite of scenarios, seeds and trials",
+        "bench leaderboard": "write one page of all entries to a suite, the best first",
+        "bench snapshot": "draw one snapshot at signal level: spectrum and paths",
     },
 }
 DESCRIPTION = """\
@@ -73,7 +73,7 @@ run estimators on it, and score them.
 CLOSING = """\
 'cellslam COMMAND --help' has examples. A first drive, of seconds: cellslam run tiny
 """
-EVERYWHERE = {"--quiet": "no progress and no notes on stderr", "--verbose": "with the traceback of a wrong request"}
+EVERYWHERE = {"--quiet": "print no progress and no notes on stderr", "--verbose": "print a traceback with each error"}
 FORMAT: dict[str, Any] = {"formatter_class": argparse.RawDescriptionHelpFormatter, "allow_abbrev": False}
 
 

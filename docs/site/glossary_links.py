@@ -2,7 +2,7 @@
 
 A word is first used where it stands neither in code, nor in a heading, nor in a link. Where a page puts the word itself
 in italics or bold, it says what it means, and needs no link. Verbs that look like a word of the glossary that is marked
-as a noun are told by what stands before.
+as a noun are recognised by the word before them.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def uses(text: str, words: dict[str, Term]) -> Iterator[tuple[re.Match[str], Ter
 
 def link_first_uses(doctree: nodes.document, uri: str) -> None:
     """Make the first use of each word in a page a link to `uri`, the glossary's page."""
-    words, told = terms(), set[str]()
+    words, linked = terms(), set[str]()
     for text in list(doctree.findall(nodes.Text)):
         parent = text.parent
         if any(isinstance(one, NOT_PROSE) for one in around(text)):
@@ -65,9 +65,9 @@ def link_first_uses(doctree: nodes.document, uri: str) -> None:
         pieces: list[nodes.Node] = []
         done = 0
         for found, term in uses(str(text), words):
-            if term.anchor in told:
+            if term.anchor in linked:
                 continue
-            told.add(term.anchor)
+            linked.add(term.anchor)
             if isinstance(parent, nodes.emphasis | nodes.strong) and found[0] == text:
                 continue
             link = nodes.reference("", found[0], refuri=f"{uri}#{term.anchor}", reftitle=term.meaning)

@@ -177,8 +177,8 @@ def _arguments(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
             value = action.metavar or ("{" + ",".join(map(str, action.choices)) + "}" if action.choices else "")
             value = " ".join(value) if isinstance(value, tuple) else value
             names = action.option_strings or [value]
-            said = f"`{', '.join(names)}{f' {value}' if action.option_strings and action.nargs != 0 and value else ''}`"
-            yield said, (action.help or "") % {"default": action.default, "prog": parser.prog}
+            name = f"`{', '.join(names)}{f' {value}' if action.option_strings and action.nargs != 0 and value else ''}`"
+            yield name, (action.help or "") % {"default": action.default, "prog": parser.prog}
 
 
 def _keys(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, ...]]:
@@ -189,8 +189,8 @@ def _keys(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, ...]]:
             yield from _keys(one, f"{prefix}{name}{several}")
         if not inner:
             default = field.get_default(call_default_factory=True, validated_data={})
-            said = "" if default is PydanticUndefined else "none" if default is None else _plain(default)
-            yield f"`{prefix}{name}`", said, unit_of(name), allowed(field), field.description or ""
+            value = "" if default is PydanticUndefined else "none" if default is None else _plain(default)
+            yield f"`{prefix}{name}`", value, unit_of(name), allowed(field), field.description or ""
 
 
 def _several(models: list[type[BaseModel]], model: type[BaseModel]) -> list[str]:

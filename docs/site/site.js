@@ -7,3 +7,7 @@ for (const table of document.querySelectorAll("table.docutils")) {
     [...row.cells].forEach((cell, column) => cell.setAttribute("data-heading", headings[column] ?? ""));
   }
 }
+// A line does not break within a short option or command (site.css).
+for (const code of document.querySelectorAll("article :is(p, li) > code.literal")) {
+  if (code.textContent.length <= 30 && !code.closest("td")) code.classList.add("short");
+}

@@ -25,7 +25,7 @@ MEASURED = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db", "distance_st
 class Row:
     """A row of a set's index: a file, its split and trial there, how much is in it, its digest and its bound.
 
-    `most_paths`: of a snapshot. `bound_rmse_m`: the Cramer-Rao bound of position, m; empty where it was not computed.
+    `most_paths`: of a snapshot. `bound_rmse_m`: the Cramér-Rao bound of position, m; empty where it was not computed.
     """
 
     file: str

@@ -68,8 +68,8 @@ def digest(one: Suite) -> str:
     """Return the SHA-256 of all that a suite is: what it is called, and every value of its scenarios."""
     texts = {scenario: (FOLDER / f"{scenario}.toml").read_text("utf-8") for scenario in one.scenarios}
     fewer = [dict(one.fewer)] if one.fewer else []
-    said = json.dumps([one.name, one.scenarios, one.seed, one.trials, texts, *fewer])
-    return hashlib.sha256(said.encode()).hexdigest()
+    content = json.dumps([one.name, one.scenarios, one.seed, one.trials, texts, *fewer])
+    return hashlib.sha256(content.encode()).hexdigest()
 
 
 def scenario_of(one: Suite, name: str) -> Scenario:
@@ -101,5 +101,5 @@ def points_of(
     driven = {text for point in points for request in point.requests for text in (request.name, request.target)}
     for key in changed:
         if split(key)[1] not in driven:
-            raise InputError(f"{key}: that estimator is not driven (driven: {', '.join(sorted(driven))})")
+            raise InputError(f"{key}: that estimator is not run here (run: {', '.join(sorted(driven))})")
     return points

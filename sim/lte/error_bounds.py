@@ -1,4 +1,4 @@
-"""Cramer-Rao bounds: of a single path in closed form, of any set of paths together.
+"""Cramér-Rao bounds: of a single path in closed form, of any set of paths together.
 
 Single path, for the stacked uniform circular array and any tones: Gamma = N rho is the integrated SNR over N = 128
 ports x tones (LTE: 2 a resource block); rho is the mean SNR per sample. With unknown complex weights of both

@@ -70,7 +70,7 @@ class SiteConfig(BaseModel):
 
     @model_validator(mode="after")
     def _is_known_if_surveyed(self) -> Self:
-        """Refuse the error of a survey that estimators are not told of."""
+        """Refuse the error of a survey that estimators do not know."""
         if self.survey_std_m > 0.0 and not self.known:
             raise ValueError(f"survey_std_m = {self.survey_std_m:g} of a site that is not known: add known = true")
         return self

@@ -1,5 +1,14 @@
 """Single diffraction at building edges: Fresnel's half-plane, phase included.
 
+For a transmitter s, a receiver r, and an edge that starts at a and runs along the unit vector e:
+
+    point        p = a + t e, where both legs make the same angle with e         `diffraction_kernel.diffractions`
+    excess       d = |s - p| + |p - r| - |s - r|,   nu = 2 sqrt(d / wavelength)  `fresnel_nu`; at most LARGEST_NU
+    field        F = (1 + j) / 2 int_nu^inf exp(-j pi t^2 / 2) dt                `knife_edge`
+    gain         wavelength / (4 pi |s - r|) F exp(2j pi d / wavelength), in the shadow of the wedge; beside it
+                 with the sign reversed                                          `diffraction_gain`, `in_shadow`
+    free         no triangle between r and p, nor between s and p                `diffracted_paths`
+
 Source: ITU-R P.526-15, section 4.1; directions and polarisation, Keller, "Geometrical theory of diffraction", 1962.
 """
 

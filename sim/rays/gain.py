@@ -1,5 +1,15 @@
 """Polarimetric path gain: free space, Fresnel reflection of slabs and half spaces, roughness.
 
+Of a path with the legs of directions k_0, k_1, ... and of length L in all, the gain is the matrix (2, 2)
+
+    wavelength / (4 pi L) B_r^T R_n ... R_1 B_s                                            `path_gain`
+    B_s, B_r     unit vectors H and V of the direction of departure, and of that of arrival  `polarisation_basis`
+    R_i          r_TE a a^T + r_TM (a x k_i) (a x k_i-1)^T, times the roughness's factor,
+                 with a across k_i-1 and the normal                                        `_reflect`
+    r_TE, r_TM   Fresnel's coefficients of a half space or a slab                          `reflection`
+
+without the phase of L, which the channel adds.
+
 Source: ITU-R P.2040-3 (materials, reflection); Ament 1953 (roughness); Friis 1946 (free space).
 """
 

@@ -94,7 +94,7 @@ class Scene(Described):
         start, direction, share = rays
         return np.asarray(self.embree[0].run(start, direction, dists=share, query=query), np.int64)
 
-    def lit_facets(self, transmitter: Floats, reflects: NDArray[np.bool_]) -> Ints:
+    def illuminated_facets(self, transmitter: Floats, reflects: NDArray[np.bool_]) -> Ints:
         """Return the facets (L,) of which the transmitter (3,), centred, in m, may see a part; none is missing."""
         rows = np.flatnonzero(reflects)
         table = self.table[rows]
@@ -110,7 +110,7 @@ class Scene(Described):
         """Tell which windows (N, 4, 3) stand wholly behind one convex facet, as seen from a point.
 
         The rays `origins` -> `targets` lie on lines through that point. If all four end on one convex facet before they
-        reach the window, so do all between them: no window of which a part is seen is said to be hidden. What hides
+        reach the window, so do all between them: no window of which a part is seen counts as hidden. What hides
         it meets the rays before the last centimetre and the last share `clearance` (4 N,) of them.
         """
         away = (targets - origins).reshape(-1, 3)

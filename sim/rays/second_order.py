@@ -1,5 +1,19 @@
 """Double reflections of one transmitter: facets that it sees, pairs of facets, then shadow rays on three legs.
 
+For a transmitter s, a receiver r, and facets a and b in the planes n_a . x = c_a, n_b . x = c_b (`first_order` has the
+equations of one facet):
+
+    images              s' = s - 2 (n_a . s - c_a) n_a,  s'' = s' - 2 (n_b . s' - c_b) n_b, the virtual transmitter
+                                                                             `second_order_kernel.facet_pairs`
+    last point          p_b where the ray from r to s'' meets b              `second_order_kernel.second_candidates`
+    first point         p_a where the ray from p_b to s' meets a             `second_order_kernel.second_candidates`
+    free                no triangle between r and p_b, p_b and p_a, p_a and s            `_free_paths`
+    length              |r - s''|, direction of arrival that of s'' - r                  `tracing._describe`
+
+Pairs are left out where no receiver can be reached: b is culled as a facet that s' would illuminate through a, and
+receivers, block by block, as boxes that s'' would through b and a (`_beam_reaches`); a pair, too, of which one of the
+first two legs is blocked as a whole (`_open_pairs`).
+
 Source: image method, which gives the virtual transmitters of the extended FastSLAM paper, section III;
 docs/explanation/rays.md.
 """
@@ -45,9 +59,9 @@ def _open_pairs(scene: Scene, transmitter: Floats, images: Images, mirrored: Flo
 
 
 def double_reflections(
-    scene: Scene, transmitter: Floats, receivers: Floats, reflects: NDArray[np.bool_], lit: Ints
+    scene: Scene, transmitter: Floats, receivers: Floats, reflects: NDArray[np.bool_], first: Ints
 ) -> Found:
-    """Return all free second-order paths to receivers (N, 3), centred, in m, over `lit` (L,) facets at first."""
+    """Return all free second-order paths to receivers (N, 3), centred, in m, over the facets `first` (L,) first."""
     from cellslam.sim.rays import second_order_kernel as second_kernel
     from cellslam.sim.rays.first_order_kernel import bounds
 
@@ -60,7 +74,7 @@ def double_reflections(
     while True:
         pairs, second = np.empty((room, 2), np.int64), np.empty((room, 4))
         found = second_kernel.facet_pairs(
-            scene.table, scene.boxes, order, groups, lit[images.side[lit] != 0.0], images, mirrored, around, pairs,
+            scene.table, scene.boxes, order, groups, first[images.side[first] != 0.0], images, mirrored, around, pairs,
             second,
         )  # fmt: skip
         if found <= room:

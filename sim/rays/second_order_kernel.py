@@ -29,7 +29,7 @@ GROUP = 16  # facets that are culled together
 
 @part
 def _beam_reaches(table: Array, images: Images, a: int, b: int, again: Any, box: Box) -> bool:
-    """Tell whether the box may be lit over the facets a and then b.
+    """Tell whether the box may be illuminated over the facets a and then b.
 
     The box is projected from the second image `again` (u, v, distance, side) onto facet b, what that leaves of b's box
     from the first image onto facet a; each step can only be too large.
@@ -64,18 +64,18 @@ def _beam_reaches(table: Array, images: Images, a: int, b: int, again: Any, box:
 
 @njit(cache=True)
 def facet_pairs(
-    table: Array, boxes: Array, order: Array, groups: Array, lit: Array, images: Images, mirrored: Array, around: Box,
+    table: Array, boxes: Array, order: Array, groups: Array, first: Array, images: Images, mirrored: Array, around: Box,
     pairs: Array, second: Array,
 ) -> int:  # fmt: skip
     """Write the pairs of facets that may carry a path; return their number, which may exceed the room.
 
     `boxes` (F, 6): centre and half size of each facet in m; `order` (R,): the facets that reflect, neighbours together;
-    `groups` (G, 6): boxes of each `GROUP` of them; `lit` (L,): facets that the transmitter sees; `mirrored` (F, 3): the
-    transmitter's image in each facet, m; `around`: box of all receivers. Written per pair: `pairs` (P, 2) first and
+    `groups` (G, 6): boxes of each `GROUP` of them; `first` (L,): facets that the transmitter sees; `mirrored` (F, 3):
+    the transmitter's image in each facet, m; `around`: box of all receivers. Written per pair: `pairs` (P, 2) first and
     second facet, `second` (P, 4): u, v, distance of the first image in the second facet's coordinates, and its side.
     """
     total = 0
-    for a in lit:
+    for a in first:
         row, image, side = table[a], images.image[a], images.side[a]
         ix, iy, iz = mirrored[a, 0], mirrored[a, 1], mirrored[a, 2]
         for g in range(len(groups)):

@@ -21,7 +21,7 @@ from cellslam.sim.rays.second_order import double_reflections
 
 CHUNK = 8192
 # From so many receivers on it pays to find out first which facets the transmitter sees.
-LIT_FROM = 5000
+ILLUMINATED_FROM = 5000
 SAME_IMAGE_M = 1e-3
 
 
@@ -53,11 +53,11 @@ def trace(
     pieces = []
     with progress("tracing rays", len(t) * len(r)) as advance:
         for site in range(len(t)):
-            worth = max_order >= 2 or (max_order == 1 and len(r) >= LIT_FROM)
-            lit = scene.lit_facets(t[site], reflects) if worth else np.flatnonzero(reflects)
+            worth = max_order >= 2 or (max_order == 1 and len(r) >= ILLUMINATED_FROM)
+            illuminated = scene.illuminated_facets(t[site], reflects) if worth else np.flatnonzero(reflects)
             for start in range(0, len(r), CHUNK):
                 part = r[start : start + CHUNK]
-                found = [_search(scene, t[site], part, max_order, reflects, lit)]
+                found = [_search(scene, t[site], part, max_order, reflects, illuminated)]
                 if diffraction:
                     found.append(diffracted_paths(scene, t[site], part, SPEED_OF_LIGHT_MPS / carrier_hz))
                 pieces.append(_describe(scene, t[site], site, part, start, all_found(found), carrier_hz))
@@ -77,16 +77,16 @@ def _positions(name: str, positions: ArrayLike) -> Floats:
 
 
 def _search(
-    scene: Scene, transmitter: Floats, receivers: Floats, max_order: int, reflects: NDArray[np.bool_], lit: Ints
+    scene: Scene, transmitter: Floats, receivers: Floats, max_order: int, reflects: NDArray[np.bool_], illuminated: Ints
 ) -> Found:
     """Return the free paths of one transmitter over facets, centred coordinates."""
     pieces = [lines_of_sight(scene, transmitter, receivers)]
     if max_order >= 1:
         seen = np.zeros(len(reflects), np.bool_)
-        seen[lit] = True
+        seen[illuminated] = True
         pieces.append(single_reflections(scene, transmitter, receivers, seen))
     if max_order >= 2:
-        pieces.append(double_reflections(scene, transmitter, receivers, reflects, lit))
+        pieces.append(double_reflections(scene, transmitter, receivers, reflects, illuminated))
     return all_found(pieces)
 
 

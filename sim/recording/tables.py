@@ -215,7 +215,7 @@ class Truth(Described):
     `poses` (T, 6); `measurement_vt` (M,), -1 for clutter; `measurement_std` (M, 3): the true standard
     deviations of distance (m), azimuth, elevation (rad), NaN for clutter; `persisting_std` (M, 3): their part that is
     alike over links and changes slowly (None: all errors are white); `merging_shift` (M, 3): by how much paths that
-    were not told apart from it moved it (m, rad, rad), NaN for clutter (None: not known); `site_positions_m` (S, 3);
+    were not resolved from it moved it (m, rad, rad), NaN for clutter (None: not known); `site_positions_m` (S, 3);
     `clock_offsets_m` (S,): b of d = norm(v - r) + b at the first snapshot; `clock_drift_m_s` (S,): its rate (None:
     constant); `odometry_bias` (T, 6): bias plus walk and steps at each snapshot; `odometry_scale` (6,).
 

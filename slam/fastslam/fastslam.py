@@ -5,15 +5,16 @@ State
                state of the joint EKF (`slam/joint`), with which this filter shares its models and linearisation
     u_k in R^d what the odometry's white noise sums up to in block k of snapshots, some 0.6 s long: a particle is a
                path, the sequence of its draws of u_1, u_2, ...
-    Given the path x is Gaussian. F, H and R hardly depend on which path it is, so N particles share one covariance
+    Given the path, x is Gaussian. F, H and R hardly depend on which path it is, so N particles share one covariance
     P (n, n) and one gain; particle i has its own mean, column i of M (n, N), and its own weight w_i.
 
 Recursion, and where it stands                                                    (a part: replaceable, `parts.py`)
     each snapshot                                                                 `_go_on`
       predict    M <- f(M), for each particle;  P <- F P F^T + Q                  `predict` (compiled)
                  u_k is a part of the state
-      associate  innovations have the covariance H P H^T + R and the spread       `_associate`; parts `association`
-                 of h(M) over the particles                                       and `birth`
+      associate  e = z - h(M w), S = H P H^T + R + spread of h(M): the one-to-one `_associate`; parts `association`
+                 pairs with the greatest sum of log p_D N(e; 0, S) /              and `birth`
+                 (clutter (1 - p_D)), as far as that is positive
     each block of snapshots                                                       `_end_block`
       innovate   E = z - h(M) (m, N);  S = H P H^T + R = L L^T;                   `innovate` (compiled)
                  W = L^-1 E, G = L^-1 H P
@@ -72,12 +73,12 @@ from cellslam.slam.fastslam.fastslam_options import NEVER, FastSlamOptions
 from cellslam.slam.fastslam.parts import (
     BUILT_IN,
     NO_VT,
-    Asked,
+    CalledPart,
     Candidates,
     Parts,
     Transmitters,
     checked,
-    never_asked,
+    never_called,
     one_to_one,
     part_named,
     returned,
@@ -139,7 +140,7 @@ class FastSlam(JointFilter):
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         """Take the prior; draws begin with the first block of snapshots."""
         self._rng, self._block = rng, 0
-        self._asked = Parts(*(Asked(slot, part) for slot, part in self.parts._asdict().items()))
+        self._called = Parts(*(CalledPart(slot, part) for slot, part in self.parts._asdict().items()))
         self._workspace: Workspace | None = None
         super().start(setup, rng)
         o, wide = self.options, np.asarray(setup.start_std)[PLANE]
@@ -147,10 +148,10 @@ class FastSlam(JointFilter):
         self._start_is_wide = setup.map is not None and self._start is None and bool((wide > self._widths).any())
 
     def remarks(self) -> list[str]:
-        """Return what the drive says against the filter's assumptions, and which of its parts were never asked."""
+        """Return what the drive says against the filter's assumptions, and which of its parts were never called."""
         own = self._valid
         assert isinstance(own, FastSlam)
-        return [*super().remarks(), *never_asked(own._asked)]
+        return [*super().remarks(), *never_called(own._called)]
 
     def _alike(self, **changes: Any) -> Self:
         other = super()._alike(**changes)
@@ -216,13 +217,13 @@ class FastSlam(JointFilter):
         m, n = len(measured.z), int(scores.count[0])
         slot = scores.slot[:n]
         candidates = Candidates(scores.log_ratio[:n], scores.distance2[:n], f.vts.slots[slot, HITS])
-        found = np.atleast_2d(self._asked.association(candidates)) if n else np.full((1, m), NO_VT)
+        found = np.atleast_2d(self._called.association(candidates)) if n else np.full((1, m), NO_VT)
         found = one_to_one(returned("association", found, (len(found), m), "i", below=n))
         return [self._slots(candidates, slot, candidate_of) for candidate_of in found]
 
     def _slots(self, candidates: Candidates, slot: Ints, candidate_of: Ints) -> Ints:
         """Return the slot (m,) of each measurement's VT, FRESH where it begins one, NO_BIRTH where it does not."""
-        begins = returned("birth", self._asked.birth(candidates, candidate_of), candidate_of.shape, "b")
+        begins = returned("birth", self._called.birth(candidates, candidate_of), candidate_of.shape, "b")
         without = np.where(begins, FRESH, NO_BIRTH)
         return np.where(candidate_of >= 0, slot[candidate_of], without) if len(slot) else without
 
@@ -237,7 +238,7 @@ class FastSlam(JointFilter):
 
     def _end_block(self, f: Filter, b: Block, errors: ArrayErrors, interval: Interval, measured: Measured) -> float:
         """Update, weigh, draw and resample a group; return what adds to its log-weight beside its VTs."""
-        work, parts, before = self._workspace_for(f, measured), self._asked, f.x[: f.size[0]].copy()
+        work, parts, before = self._workspace_for(f, measured), self._called, f.x[: f.size[0]].copy()
         site_of, indices = measured.site_of, self._core.drawn
         drawn = indices[(self._block + 1) % len(indices)] if self._drawn_blocks else NOTHING_DRAWN
         if self.options.lag < 0:
@@ -275,7 +276,7 @@ class FastSlam(JointFilter):
         if not there.any():
             return G, W, np.zeros(W.shape[1])
         M_u = f.x[u, None] + f.particles.deviation[u] + G[:, u].T @ W
-        draws, log_ratio = self._asked.proposal(M_u, P_u[:, u], self._rng)
+        draws, log_ratio = self._called.proposal(M_u, P_u[:, u], self._rng)
         draws, log_ratio = returned("proposal", draws, M_u.shape), returned("proposal", log_ratio, M_u.shape[1:])
         root = axes[:, there].T / np.sqrt(variance[there, None])
         return np.concatenate([G, root @ P_u]), np.concatenate([W, root @ (draws - M_u)]), log_ratio
@@ -319,7 +320,7 @@ class FastSlam(JointFilter):
             detections=hits.copy(), unseen_s=np.asarray(unseen * step_s, np.float64), lifetime_s=lifetime * step_s,
             confirmed=hits >= rules.lifetime.confirm,
         )  # fmt: skip
-        f.vts.anchor[:count, WEIGHT][returned("pruning", self._asked.pruning(vts), (count,), "b")] = DROPPED
+        f.vts.anchor[:count, WEIGHT][returned("pruning", self._called.pruning(vts), (count,), "b")] = DROPPED
         forever = np.iinfo(np.int64).max
         return rules._replace(lifetime=rules.lifetime._replace(age_once=forever, age_twice=forever))
 
@@ -355,7 +356,7 @@ class FastSlam(JointFilter):
             mixture.share_particles(count, lambda weight: self._ancestors(weight, count))
 
     def _ancestors(self, weight: Floats, count: int) -> Ints:
-        found = self._asked.resampling(weight, count, self._rng)
+        found = self._called.resampling(weight, count, self._rng)
         return returned("resampling", found, (count,), "i", least=0, below=len(weight))
 
     def _workspace_for(self, f: Filter, measured: Measured) -> Workspace:

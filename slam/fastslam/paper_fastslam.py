@@ -3,7 +3,8 @@
 State: particle i is a path r_{i,1:t} of the vehicle (eq. 18), r = [r_x, r_y, r_z, r_psi, r_theta, r_phi] (eq. 13).
 Given the path, VTs are independent, those of other links (j, k) too (eq. 16): v ~ N(mu, Sigma), Cartesian (eq. 21).
 
-Recursion, for each particle and snapshot, link by link:
+Recursion, for each particle and snapshot, link by link; `use_particle` calls a function of each step's name, weighing
+is in `update`, resampling in `_resample`:
     predict     r_t ~ p(r_t | r_{t-1}, u_t)                                                             (eq. 17, 19)
     associate   c = argmin of the sum of e^T S^-1 e, Hungarian algorithm, within a gate                      (eq. 35)
                 e = z - z^,  z^ = h(mu, r),  H = dh/dv,  S = H Sigma H^T + Q             (eq. 22 to 27, 33, Q: 34)
@@ -26,6 +27,7 @@ H (G - B), where B says how theta moves a point that is fixed in the vehicle's f
                 P <- (P^-1 + I)^-1,  theta^ <- theta^ + P y,  r and all mu follow by D and G
     begin       G = B
     weigh       w <- w |1 + I P|^(-1/2) exp(y^T (P^-1 + I)^-1 y / 2): jointly exact where the model is linear
+The update of theta and this weight are in `learn_constants`; B is `carried`.
 
 Assumed, where the paper is silent. The clock offset of a site (eq. 5) is the mean of its prior: given where
 `radio.clock_offset_std_m` is 0, ignored otherwise. A VT that was unseen for more snapshots than it was seen is dropped
@@ -250,7 +252,7 @@ def begin(x: Particles, R: Mat3, row: Floats, z: Floats, q: Floats) -> None:
 
 
 @inlined
-def drop_dubious(x: Particles, link: int, now: int) -> None:
+def drop_unlikely(x: Particles, link: int, now: int) -> None:
     """Drop the VTs of a link that were unseen for more snapshots than they were seen."""
     vts, j = x.vts[link], 0
     while j < x.counts[link]:
@@ -326,7 +328,7 @@ def use_particle(a: Particles, i: int, m: Measured, u: Floats, dt: float, associ
     x.y[:] = 0.0
     x.info[:] = 0.0
     for link in range(len(x.counts)):
-        drop_dubious(x, link, m.now)
+        drop_unlikely(x, link, m.now)
         if m.first[link] < m.first[link + 1]:
             use_link(x, R, m, link, association, t)
     learn_constants(x)
@@ -411,7 +413,7 @@ class PaperFastSlam:
         vts, (link, position_m, std_m) = np.zeros((*counts.shape, capacity, WIDTH)), self._fusion.setup.surveyed
         counts[:, link], vts[:, link, 0, MU:LAST] = 1, position_m
         vts[:, link[:, None], 0, SIGMA + np.diag(UPPER)] = std_m**2
-        vts[:, link, 0, HITS], vts[:, link, 0, IDENT] = np.inf, link  # never dubious
+        vts[:, link, 0, HITS], vts[:, link, 0, IDENT] = np.inf, link  # never dropped
         self._x = Particles(r, np.zeros((N, 2, 4)), theta, P, *sums, vts, counts)
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:

@@ -252,7 +252,7 @@ BUILT_IN: Mapping[str, Mapping[str, Callable[..., Any]]] = {
 }  # fmt: skip
 
 
-# What a part that is never asked was waiting for, in a drive in which others were asked.
+# What a part that is never called was waiting for, in a drive in which others were called.
 NO_BLOCK = "no block of snapshots ended; 'block_s' says how long one is"
 WAITS_FOR = {
     "association": "there was no VT yet",
@@ -265,8 +265,8 @@ WAITS_FOR = {
 }
 
 
-class Asked:
-    """A part in its slot during a drive: it counts how often it is asked, and an error inside it says which part it
+class CalledPart:
+    """A part in its slot during a drive: it counts how often it is called, and an error inside it says which part it
     is."""
 
     def __init__(self, slot: str, part: Callable[..., Any]) -> None:
@@ -289,13 +289,13 @@ class Asked:
         return f"{named.__module__}:{named.__qualname__}"
 
 
-def never_asked(asked: Sequence[Any]) -> list[str]:
-    """Return a remark for each part that is not the default one and was never asked, whether others were or not."""
-    left = [one for one in asked if one.part is not getattr(Parts(), one.slot) and not one.times]
-    if left and not any(one.times for one in asked):
+def never_called(parts: Sequence[Any]) -> list[str]:
+    """Return a remark for each part that is not the default one and was never called, whether others were or not."""
+    left = [one for one in parts if one.part is not getattr(Parts(), one.slot) and not one.times]
+    if left and not any(one.times for one in parts):
         slots = ", ".join(one.slot for one in left)
-        return [f"{slots}: never asked: particles are drawn once clock offsets are resolved, and none was"]
-    return [f"{one.slot}: {one.name} was never asked, while others were: {WAITS_FOR[one.slot]}" for one in left]
+        return [f"{slots}: never called: particles are drawn once clock offsets are resolved, and none was"]
+    return [f"{one.slot}: {one.name} was never called, while others were: {WAITS_FOR[one.slot]}" for one in left]
 
 
 KINDS = {"f": "numbers", "i": "whole numbers", "b": "true or false"}  # of what parts return, by NumPy's letters

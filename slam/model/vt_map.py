@@ -100,7 +100,7 @@ class VtMap(Described):
             "missed": (count,),
         })  # fmt: skip
         if (np.linalg.norm(self.position_m - self.anchor_m, axis=1) == 0.0).any():
-            raise InputError("a position is its anchor: a VT is seen from elsewhere")
+            raise InputError("a VT's position equals its anchor: the anchor is a position from which the VT was seen")
         for name in ("position_m", "anchor_m"):
             for value in getattr(self, name).ravel():
                 RANGES["position"].check(float(value), name)

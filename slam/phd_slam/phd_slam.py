@@ -18,7 +18,8 @@ Recursion, for odometry u and the snapshot Z = {z_k}
 Weight of a particle
     log w <- log w + log (prior / density of the draw) + new (sum_k log (1 + sum_j odds_jk) - sum_j p_D(m_j) w_j)
                                                                                     _move, _update
-    with the cost of moving the clocks; resampled if the effective sample size is small            _conclude
+    with the cost of moving the clocks; new: share of the evidence that is not a repetition of the last snapshot's
+    resampled if the effective sample size is small                                                 _conclude
 
 Sources: Mullane, Vo, Adams and Vo, "A random-finite-set approach to Bayesian SLAM", IEEE Trans. Robotics 27(2), 2011;
 Kaltiokallio et al., "A multihypotheses importance density for SLAM in cluttered scenarios", IEEE Trans. Robotics 40,

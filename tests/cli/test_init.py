@@ -129,9 +129,9 @@ def test_a_place_is_where_the_globe_has_it(tmp_path: Path, village: City) -> Non
     ("words", "text"),
     [
         (["tiny", "--route", str(VILLAGE / "route.gpx")], "does not say where on the globe it is"),
-        (["anywhere"], "another one in each trial"),
+        (["anywhere"], "drawn anew in each trial"),
         ([str(VILLAGE / "village.osm"), "--route", str(VILLAGE / "village.osm")], "neither GPX"),
-        ([*ALONG, "--sites", str(VILLAGE / "route.gpx")], "has no places"),
+        ([*ALONG, "--sites", str(VILLAGE / "route.gpx")], "has no points"),
         ([*ALONG, "--sites", "far.geojson"], "is outside of city 'village'"),
     ],
 )

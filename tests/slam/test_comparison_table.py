@@ -52,3 +52,14 @@ def test_a_narrow_window_loses_columns_and_says_which(width: int) -> None:
     missing = {"heading", "GOSPA", "offset", "trials", "max", "NEES", "precision"} - set(headings)
     assert (width < 130) == bool(missing)
     assert all(name in text.split("in a wider window:")[-1] for name in missing)
+
+
+@pytest.mark.parametrize(("trials", "note"), [(4, "without intervals, which need 5 trials"), (5, "95 % intervals")])
+def test_the_note_is_of_the_columns_that_are_shown(trials: int, note: str) -> None:
+    rows = [row("mine", t, 1.0 + t) for t in range(trials)]
+    plain, merged = (
+        " ".join(text_of(results_table([one | more for one in rows], "title", frozenset(), 140), 140).split())
+        for more in ({}, {"bound_merged_m": 0.7})
+    )
+    assert note in plain and ("[" in plain) == (trials == 5)
+    assert "with merging" in merged and "with merging" not in plain

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from cellslam.benchmarks.figures.style import BLACK, BLUE, GREY, WIDTH_IN
+from cellslam.benchmarks.figures.style import BLACK, GREY, WIDTH_IN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,7 +67,7 @@ def _draw(axes: Axes, one: Verdict, width_in: float, margin_in: float) -> None:
         axes.plot(
             (ranks[first] - reach, ranks[last] + reach),
             (y, y),
-            color=BLUE,
+            color=BLACK,
             linewidth=3,
             solid_capstyle="butt",
             zorder=3,

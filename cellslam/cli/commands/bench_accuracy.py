@@ -46,7 +46,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--trials", metavar="N", type=whole, help=few_help)
     scenario_help = "this scenario of the suite alone; may be repeated"
     parser.add_argument("--scenario", metavar="NAME", dest="scenarios", help=scenario_help, **REPEATED)
-    add(parser, "--estimator", help="in place of all built-ins; by name or as module:Class; may be repeated")
+    add(parser, "--estimator", help="instead of all built-in ones; by name or as module:Class; may be repeated")
     set_help = (
         "change one option of an estimator, as in estimator.fastslam.lag=0; may be repeated: not the suite's result"
     )
@@ -56,7 +56,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--write", metavar="FILE.md", help=write_help)
     rows_help = "write the rows of the whole suite: an entry for 'bench leaderboard'"
     parser.add_argument("--rows", metavar="FILE.json", help=rows_help)
-    check_help = "verify an entry instead: drive a sample of its drives again, and compare; --estimator: whose"
+    check_help = "verify an entry instead: repeat a sample of its drives, and compare; --estimator: of which estimators"
     parser.add_argument("--check", metavar="FILE.json", help=check_help)
     sample_help = "how many drives --check takes, at random (default: 5)"
     parser.add_argument("--sample", metavar="N", type=whole, default=5, help=sample_help)
@@ -119,7 +119,7 @@ def check(arguments: Namespace) -> int:
     if unknown := [job for task in made.tasks for job in task.jobs if job.key not in stated]:
         raise InputError(f"{path}: {unknown[0].estimator} has other options here, or {one.name} another scenario")
     if not 1 <= arguments.sample <= len(made.tasks):
-        raise InputError(f"--sample {arguments.sample}: {one.name} has 1 to {len(made.tasks)} drives")
+        raise InputError(f"--sample {arguments.sample}: must be 1 to {len(made.tasks)}, the drives of {one.name}")
     jobs = processes(arguments)
     # Redrawn each time: who sends an entry in cannot know which drives it will be.
     chosen = secrets.SystemRandom().sample(made.tasks, arguments.sample)
@@ -133,7 +133,7 @@ def check(arguments: Namespace) -> int:
             found = {"status": "failed", "error": answer.reason} if isinstance(answer, Lost) else answer.row
             differing = list(differences(row, found))
             wrong += bool(differing)
-            verdict = ", ".join(differing) or "as said"
+            verdict = ", ".join(differing) or "as the entry says"
             print(f"{row['estimator']}, {row['scenario']}, trial {row['trial']}: {verdict}")
     count = len(estimators) * len(chosen)
     print(f"{count - wrong} of {count} drives are as the entry says, to {100 * TOLERANCE:g} %")
@@ -181,5 +181,5 @@ def _trials(arguments: Namespace, one: Suite) -> int:
     if arguments.trials is None:
         return one.trials
     if not 1 <= arguments.trials <= one.trials:
-        raise InputError(f"--trials {arguments.trials}: {one.name} has 1 to {one.trials}")
+        raise InputError(f"--trials {arguments.trials}: must be 1 to {one.trials}, the trials of {one.name}")
     return int(arguments.trials)

@@ -16,7 +16,8 @@ EXAMPLES = ("fit-overbound training --out overbound.json",)
 
 def add_arguments(parser: ArgumentParser) -> None:
     add(parser, "folder")
-    parser.add_argument("--risk", metavar="P", type=number, default=RISK, help=f"of which it is fitted ({RISK:g})")
+    risk_help = f"risk for which the overbound is fitted (default: {RISK:g})"
+    parser.add_argument("--risk", metavar="P", type=number, default=RISK, help=risk_help)
     add(parser, "--out", metavar="FILE", required=True, help="where to write it, as JSON")
 
 

@@ -104,7 +104,7 @@ def _city_table(arguments: Namespace) -> dict[str, Any]:
     city = load(name, code=False).city
     table = city.model_dump(mode="json", exclude_defaults=True)
     if table.get("seed") == "trial":
-        raise InputError(f"city '{name}': another one in each trial; give a scenario whose city.seed is a number")
+        raise InputError(f"city '{name}' is drawn anew in each trial; give a scenario whose city.seed is a number")
     return {"kind": city.kind, **table}
 
 
@@ -198,7 +198,7 @@ def read_places(path: str, city: City) -> list[tuple[str, Floats]]:
     """Return names and positions (3,) in metres of the city, height NaN if not given. Raises InputError."""
     _, places = _read_geo_file(Path(path))
     if not places:
-        raise InputError(f"{path}: has no places; give GPX waypoints or GeoJSON Points")
+        raise InputError(f"{path}: has no points; give GPX waypoints or GeoJSON Points")
     positions = _metres(places, city, path)
     return [
         (place[0] or f"site-{i + 1}", position)

@@ -31,7 +31,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add(parser, "file", "--accept-changed")
     add(parser, "--set", help=SET_HELP.format("estimator.fastslam.particles=300"))
     add(parser, "--options", "--fit", *ESTIMATION)
-    align_help = "lay each estimate onto the truth before it is scored, and say so in its row"
+    align_help = "align each estimate with the truth before it is scored; its row says so"
     parser.add_argument("--align", action="store_true", help=align_help)
     add(parser, "--seed", default=None, help="seed of the estimators' random draws (default: the recording's own)")
     add(parser, "--out", help="folder for the results (default: results/replay-FILE)")

@@ -15,13 +15,14 @@ def add_arguments(parser: ArgumentParser) -> None:
     add(parser, "folder")
     add(parser, "--out", metavar="FILE.html", help="the page to write (default: DIR/report.html)")
     parser.add_argument("--worst", metavar="N", type=whole, default=3, help="trials with a section each (default: 3)")
-    metric_help = "by which trials are the worst (default: position_rmse_m)"
+    metric_help = "metric by which trials are the worst (default: position_rmse_m)"
     parser.add_argument("--metric", metavar="NAME", default="position_rmse_m", help=metric_help)
     load_help = (
         "load the code and files that the results name for their worlds, too, to make those of the worst trials again"
     )
     parser.add_argument("--load", help=load_help, **FLAG)
-    add(parser, "--estimator", help="whose worst trials; may be repeated (default: the estimator with the best median)")
+    whose_help = "estimator whose worst trials are shown; may be repeated (default: the one with the best median)"
+    add(parser, "--estimator", help=whose_help)
 
 
 def command(arguments: Namespace) -> None:

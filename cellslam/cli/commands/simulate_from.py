@@ -32,8 +32,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     tolerance_help = "how far delays and angles may miss geometry (default: 0.01,0.5; measured ones need more)"
     parser.add_argument("--tolerance", metavar="M,DEG", type=_tolerance, help=tolerance_help)
     parser.add_argument("--rx-set", metavar="N", type=whole, help="folder: the receiver set, where there are several")
-    along_help = "places x,y,z of a drive: take the receivers nearest to them (default: all, in order)"
-    parser.add_argument("--along", metavar="PLACES.csv", help=along_help)
+    along_help = "positions x,y,z of a drive: take the receivers nearest to them (default: all, in order)"
+    parser.add_argument("--along", metavar="POSITIONS.csv", help=along_help)
     add(parser, "--seed", "--trial")
 
 

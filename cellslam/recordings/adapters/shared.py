@@ -104,7 +104,7 @@ def surveyed(names: Iterable[str], places: Mapping[str, Floats]) -> dict[str, Se
     missing = [name for name in names if name not in places]
     if missing:
         known = ", ".join(places)
-        raise InputError(f"anchor '{missing[0]}' has ranges but no place (known: {known}): survey it, or leave it out")
+        raise InputError(f"anchor '{missing[0]}' has ranges but no position (known: {known}): give one or leave it out")
     return {name: places[name].tolist() for name in names}
 
 

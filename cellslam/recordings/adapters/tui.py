@@ -103,7 +103,7 @@ def _ours(values: Floats, angle: Angle) -> Floats:
 
 
 def _reference(folder: Path, sheet: Sheet, asked: Location, about: dict[str, Any]) -> ReferenceTable:
-    """Return the positions of the location file; `about` is told how they were projected."""
+    """Return the positions of the location file; `about` receives how they were projected."""
     group = "PoseData"
     with opened(folder / asked.file, sheet.units) as file:
         times = file.values(f"{group}/MetaData/Snapshot/TimeStamp")
@@ -116,7 +116,7 @@ def _reference(folder: Path, sheet: Sheet, asked: Location, about: dict[str, Any
 def _places(file: Container, crs: str, about: dict[str, Any]) -> tuple[Floats, Floats]:
     """Return the places (N, 3) in m of a location file, and what to add to its yaws, in rad.
 
-    The first file sets the projection, of which `about` is told; the others follow it.
+    The first file sets the projection, which `about` receives; the others follow it.
     """
     group = "PoseData"
     if f"{group}/PosX" in file.file:

@@ -178,5 +178,5 @@ def load_sheet(folder: Path) -> Sheet:
     if sheet.odometry == "simulated" and (sheet.location is None or sheet.location.yaw is None):
         raise InputError(f"{path}: odometry = 'simulated' needs [location] with its yaw")
     if sheet.transmitter is not None and sheet.location is None:
-        raise InputError(f"{path}: [transmitter] needs [location]: without it nobody knows where the drive starts")
+        raise InputError(f"{path}: [transmitter] needs [location]: without it the start of the drive is unknown")
     return sheet

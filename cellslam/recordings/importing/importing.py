@@ -163,7 +163,7 @@ def _start(manifest: Manifest) -> tuple[float, ...] | None:
 
 
 def _reference(table: Table, asked: ReferenceFile, about: dict[str, Any]) -> ReferenceTable:
-    """Return the reference; `about` is told how it was projected."""
+    """Return the reference; `about` receives how it was projected."""
     columns = table.columns
     height, yaw = columns.get("z_m", np.full(len(table.time_s), np.nan)), columns.get("yaw_rad")
     on_globe = "latitude_rad" in columns and "longitude_rad" in columns

@@ -194,7 +194,7 @@ def _azimuth(c: Correction) -> Diagnosis:
 def _shift(c: Correction) -> Diagnosis:
     b = -c.distance_zero_m
     return "distance-offset", (
-        f"every distance is {abs(b):.1f} m too {'long' if b > 0 else 'short'}, though clocks are said to be known: set "
+        f"every distance is {abs(b):.1f} m too {'long' if b > 0 else 'short'}, though clocks are given as known: set "
         f"zero = {-b:.1f} (m) for distance_m, or give the sites a clock_offset_std_m"
     )
 

@@ -24,7 +24,7 @@ FIELDS = {
     "measurements": ("number of measured paths", "Integer"),
     "most_paths": ("most measured paths of a snapshot", "Integer"),
     "sha256": ("digest of the file", "Text"),
-    "bound_rmse_m": ("Cramer-Rao bound of the position's RMSE, m; of validation and test-truth", "Float"),
+    "bound_rmse_m": ("Cramér-Rao bound of the position's RMSE, m; of validation and test-truth", "Float"),
 }
 _CONTEXT: dict[str, Any] = {
     "@language": "en", "@vocab": "https://schema.org/", "citeAs": "cr:citeAs", "column": "cr:column",

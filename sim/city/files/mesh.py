@@ -179,8 +179,10 @@ def _assumptions(objects: list[MeshObject]) -> list[str]:
         return []
     material, names = assumed[0].material, sorted({o.assumed for o in assumed if o.assumed})
     thick = "a half space" if material.thickness_m is None else f"{material.thickness_m:g} m thick"
-    said = f" but {', '.join(names[:4])}{', ...' if len(names) > 4 else ''}" if names else ""
-    return [f"{len(assumed)} of {len(objects)} objects name no known material{said}: {material.name} assumed, {thick}"]
+    others = f" but {', '.join(names[:4])}{', ...' if len(names) > 4 else ''}" if names else ""
+    return [
+        f"{len(assumed)} of {len(objects)} objects name no known material{others}: {material.name} assumed, {thick}"
+    ]
 
 
 def _groups(objects: list[MeshObject]) -> Ints:

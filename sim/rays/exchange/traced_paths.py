@@ -34,7 +34,7 @@ EXACT = Tolerance()
 
 @dataclass(frozen=True)
 class Traced:
-    """Paths with the transmitters (S, 3) and receivers (N, 3) in m that they index; carrier in Hz, where it is said."""
+    """Paths with the transmitters (S, 3) and receivers (N, 3) in m that they index; carrier in Hz, if given."""
 
     paths: Paths
     transmitters_m: Floats
@@ -108,9 +108,9 @@ def _check_lengths(name: str, length: Floats, straight: Floats, around_m: Floats
     ):
         rows = np.flatnonzero(wrong)
         if len(rows):
-            said = what.format(there[rows[0]])
+            found = what.format(there[rows[0]])
             raise InputError(
-                f"{name}: path {rows[0]} has a delay of {length[rows[0]]:.3f} m, but {said}: are delays counted from "
+                f"{name}: path {rows[0]} has a delay of {length[rows[0]]:.3f} m, but {found}: are delays counted from "
                 "the first path? save absolute ones, in seconds"
             )
 

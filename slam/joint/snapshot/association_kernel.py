@@ -204,7 +204,7 @@ def pass_messages(w: Messages, rows: int, columns: int) -> None:
     Taken: w.beta (R, m), messages of legacy features to their association variables, over that of a missed detection;
     w.xi (m,), message of the new feature of a measurement, over that of clutter (0: it can have none). Written: w.zeta
     and w.nu (R, m), messages from features to measurements and back; w.marginal (R, m): P(feature r made measurement
-    c). Without loops (a feature or measurement in doubt at most at one end) everything is exact.
+    c). Without loops (where of each pair that is possible at most one end has other partners) everything is exact.
     """
     beta, xi, zeta, nu = w.beta, w.xi, w.zeta, w.nu
     for r in range(rows):

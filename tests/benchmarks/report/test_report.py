@@ -206,6 +206,21 @@ def test_a_single_drive_is_told_in_one_sentence_and_has_no_distributions(tmp_pat
     assert not two["single"] and two["panels"] and two["lead"] is None and two["heading"] == "Worst trials"
 
 
+@pytest.mark.parametrize(
+    ("trials", "note"),
+    [(4, "No confidence intervals: they need 5 trials."), (5, "Intervals: 95 %, by resampling the trials.")],
+)
+def test_the_note_promises_intervals_where_there_are_some(tmp_path: Path, trials: int, note: str) -> None:
+    def row(task: Task, _: Job) -> dict[str, Any]:
+        return {"position_rmse_m": 1.0 + task.trial}
+
+    made_up(tmp_path, plan_of({}, ("dead-reckoning",), trials), row)
+    summary = content(tmp_path, Choice(worst=0), silent)["summary"]
+    (line,) = summary["lines"]
+    assert summary["note"] == note
+    assert any(cell and cell[1] is not None for cell in line["cells"]) == (trials == 5)
+
+
 TRACES = """
 const plot = document.querySelector("article .scene");
 const trace = (name) => plot.data.find((one) => one.name === name);

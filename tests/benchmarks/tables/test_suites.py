@@ -152,7 +152,7 @@ def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
         (text.replace('"digest": "', '"digest": "0'), board, "made with another standard-4"),
         (fewer, board, "not every drive of standard-4 once for each estimator"),
         ("{}", check, "not rows of a suite"),
-        (text, [*check, "--sample", "14"], "--sample 14: standard-4 has 1 to 13 drives"),
+        (text, [*check, "--sample", "14"], "--sample 14: must be 1 to 13"),
     ):
         entry.write_text(content)
         assert main(words) == 2
@@ -165,7 +165,7 @@ def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
     ("words", "expected"),
     [
         (("--suite", "nothing"), "unknown suite 'nothing'"),
-        (("--trials", "21"), "--trials 21: standard-4 has 1 to 20"),
+        (("--trials", "21"), "--trials 21: must be 1 to 20"),
         (("--scenario", "tiny"), "unknown scenario of standard-4 'tiny'"),
         (("--write", "/nowhere/x.md"), "there is no folder"),
         (("--trials", "2", "--rows", "x.json"), "--rows is of a whole suite"),

@@ -109,7 +109,7 @@ def test_what_does_not_fit_is_said(drive: Any, tmp_path: Path) -> None:
         import_adapter(tmp_path, "uwb")
     write_tables(tmp_path, drive)
     (tmp_path / "anchors.csv").write_text("id,x,y,z\n3,0,0,0\n")
-    with pytest.raises(InputError, match="anchor '21' has ranges but no place"):
+    with pytest.raises(InputError, match="anchor '21' has ranges but no position"):
         import_adapter(tmp_path, "uwb")
     late = np.loadtxt(tmp_path / "odometry.tum")
     late[:, 0] += 1.4e9

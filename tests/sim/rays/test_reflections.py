@@ -144,7 +144,7 @@ def test_blocks_chunks_and_hidden_facets_do_not_matter(small_city, places, monke
     whole = trace(small_city, transmitters, line)
     monkeypatch.setattr("cellslam.sim.rays.first_order.BLOCKS", np.array([3, 1]))
     monkeypatch.setattr("cellslam.sim.rays.tracing.CHUNK", 37)
-    monkeypatch.setattr("cellslam.sim.rays.tracing.LIT_FROM", 0)
+    monkeypatch.setattr("cellslam.sim.rays.tracing.ILLUMINATED_FROM", 0)
     pieces = trace(small_city, transmitters, line)
     np.testing.assert_array_equal(whole.facets, pieces.facets)
     np.testing.assert_array_equal(whole.receiver, pieces.receiver)
@@ -156,7 +156,7 @@ def test_blocks_chunks_and_hidden_facets_do_not_matter(small_city, places, monke
 
 
 def test_a_wall_with_a_window_hides_corners_but_not_what_is_between(scenes, monkeypatch):
-    monkeypatch.setattr("cellslam.sim.rays.tracing.LIT_FROM", 0)
+    monkeypatch.setattr("cellslam.sim.rays.tracing.ILLUMINATED_FROM", 0)
     outer = np.array([[10, -10, 0], [10, 10, 0], [10, 10, 20], [10, -10, 20]], float)
     inner = np.array([[10, -1, 9], [10, 1, 9], [10, 1, 11], [10, -1, 11]], float)
     quads = [[i, (i + 1) % 4, 4 + (i + 1) % 4, 4 + i] for i in range(4)]

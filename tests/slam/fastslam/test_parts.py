@@ -160,24 +160,26 @@ def test_a_part_that_returns_something_else_is_told_what_is_needed(slot: str, pa
         driven(estimator, street(60, seed=1))
 
 
-def test_parts_that_were_never_asked_are_remarked() -> None:
+def test_parts_that_were_never_called_are_remarked() -> None:
     estimator = FastSlam(FastSlamOptions(**WHITE), resampling=parts.SCHEMES["residual"])
     setup, steps = street(3, seed=1)
     driven(estimator, (replace(setup, sites=Sites(("A",), np.zeros(1), np.full(1, 50.0))), steps))
-    assert any("resampling: never asked" in line for line in estimator.remarks())
+    assert any("resampling: never called" in line for line in estimator.remarks())
 
 
-def test_a_part_that_is_never_asked_while_others_are_is_remarked_with_what_it_waited_for() -> None:
+def test_a_part_that_is_never_called_while_others_are_is_remarked_with_what_it_waited_for() -> None:
     given = {"association": parts.nearest_neighbour, "resampling": parts.SCHEMES["residual"]}
     estimator = FastSlam(FastSlamOptions(particles=20, effective_share=0.01, **WHITE), **given)
-    estimator.warm_up()  # what is asked there does not count
+    estimator.warm_up()  # what is called there does not count
     driven(estimator, street(30, seed=2))
-    (remark,) = [line for line in estimator.remarks() if "never asked" in line]
-    assert remark.startswith("resampling: cellslam.slam.model.resampling:residual was never asked, while others were: ")
+    (remark,) = [line for line in estimator.remarks() if "never called" in line]
+    assert remark.startswith(
+        "resampling: cellslam.slam.model.resampling:residual was never called, while others were: "
+    )
     assert "effective_share" in remark
     eager = FastSlam(FastSlamOptions(particles=20, effective_share=1.0, **WHITE), **given)
     driven(eager, street(30, seed=2))
-    assert not [line for line in eager.remarks() if "never asked" in line]
+    assert not [line for line in eager.remarks() if "never called" in line]
 
 
 def failing(W: Any) -> Any:
