@@ -51,7 +51,7 @@ BURSTS = 3.0
 # Bias and scale that any odometer may have, m/s and rad/s: what a data sheet leaves out cannot be learnt.
 LEAST_BIAS, LEAST_SCALE = {"u_psi": 1e-3}, {"u_x": 0.01, "u_psi": 0.01}
 # With which a vehicle may follow its commands, s, of small robots to lorries; then factors of the best of these.
-TIME_CONSTANTS_S, BETWEEN = (0.1, 0.2, 0.4, 0.8), (2.0**-0.5, 2.0**0.5)
+TIME_CONSTANTS_S, BETWEEN = (0.1, 0.2, 0.4, 0.8, 1.6), (2.0**-0.5, 2.0**0.5)
 
 
 @dataclass(frozen=True)
