@@ -15,6 +15,7 @@ from cellslam.sim.recording import Links, Measurements, OdometryModel, Recording
 from cellslam.slam.model.measurement_model import predict
 
 sys.path.append(str(Path(__file__).parents[1]))  # for `tools`; what is installed goes before
+from tests.command_line import Done, Run, command_line
 
 
 def make_toy_recording(snapshots: int = 40, seed: int = 0, truth: bool = True) -> Recording:
@@ -74,6 +75,18 @@ def toy_recording() -> Callable[..., Recording]:
     return make_toy_recording
 
 
+@pytest.fixture
+def cellslam(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
+    """Runs a command line in this process, in an empty directory."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+
+    def run(*words: object) -> Done:
+        return command_line(words, capfd)
+
+    return run
+
+
 WORLD = "from cellslam.benchmarks.bound.cramer_rao import bound; import cellslam; bound(cellslam.simulate('tiny'))"
 FILTER = (
     "from cellslam.slam.registry import options_model, resolve; "
@@ -102,6 +115,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     one thread, as those of a sweep have: of BLAS, too, whose threads wait for one another more than they work."""
     config = session.config
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # the workers' libraries read it when they are imported
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # or a hundred processes compile the same modules
     if hasattr(config, "workerinput"):
         numba.set_num_threads(1)
     if hasattr(config, "workerinput") or config.args_source is not config.ArgsSource.TESTPATHS:

@@ -11,9 +11,7 @@ from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.recording import Recording
-from tests.command_line import cellslam
 
-__all__ = ["cellslam"]
 STEP_S = 0.02
 
 
