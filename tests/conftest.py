@@ -10,6 +10,8 @@ import numba
 import numpy as np
 import pytest
 
+from cellslam.scenarios import load
+from cellslam.sim import simulate
 from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Links, Measurements, OdometryModel, Recording, Sites, Truth, VirtualTransmitters
 from cellslam.slam.model.measurement_model import predict
@@ -73,6 +75,12 @@ def make_toy_recording(snapshots: int = 40, seed: int = 0, truth: bool = True) -
 @pytest.fixture
 def toy_recording() -> Callable[..., Recording]:
     return make_toy_recording
+
+
+@pytest.fixture(scope="session")
+def tiny() -> Recording:
+    """A drive of the preset `tiny` as it is; worlds that differ in one key are compared with it."""
+    return simulate(load("tiny").world, 3, 0)
 
 
 @pytest.fixture

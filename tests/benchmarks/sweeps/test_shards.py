@@ -158,17 +158,7 @@ def test_watch_shows_what_others_have_done(tmp_path: Path, capfd: pytest.Capture
 def test_shards_give_the_rows_of_one_sweep_though_killed_and_doubled() -> None:
     line = [
         sys.executable,
-        "-m",
-        "tools",
-        "shards",
-        "--shards",
-        "6",
-        "--killed",
-        "2",
-        "--doubled",
-        "1",
-        "--trials",
-        "6",
+        *["-m", "tools", "shards", "--shards", "6", "--killed", "2", "--doubled", "1", "--trials", "6"],
     ]
     done = subprocess.run(line, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0 and "are those of one" in done.stdout, done.stdout + done.stderr
