@@ -69,6 +69,7 @@ def test_cars_leave_one_map_together() -> None:
     assert later.hits.sum() > two.hits.sum()
 
 
+@pytest.mark.slow
 def test_maps_are_joined(first: Path, cellslam: Run) -> None:
     given = ("run", "tiny", *KNOWN_CLOCKS, *EKF, "--seed", "73")
     assert cellslam(*given, "--save-map", "second.h5").status == 0

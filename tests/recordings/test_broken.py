@@ -238,6 +238,7 @@ def test_what_crashes_or_stalls_the_reader_is_refused(tmp_path: Path, monkeypatc
         recording_guard.check(path, accept_changed=True, limit_s=0.3)
 
 
+@pytest.mark.slow
 @settings(
     max_examples=100, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

@@ -195,6 +195,7 @@ def test_wrong_render_mode_is_explained() -> None:
         LocalizationEnv(render_mode="human")
 
 
+@pytest.mark.slow
 def test_many_episodes_at_once_are_the_single_ones() -> None:
     """Observations, rewards and infos of each, to 32 bits, over two drives each, with fewer paths shown than are."""
     many: Any = gym.make_vec(NAME, num_envs=3, drives=2, max_paths=12)

@@ -74,6 +74,7 @@ def test_accuracy_writes_its_tables_and_resumes(
     assert "1 of them finished already" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_changed_options_are_another_row_and_not_the_result_of_the_suite(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

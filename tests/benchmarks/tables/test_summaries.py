@@ -192,6 +192,7 @@ def test_a_folder_without_results_is_one_line(tmp_path: Path, capfd: pytest.Capt
     assert err.count("\n") == 1 and "no results" in err
 
 
+@pytest.mark.slow
 def test_a_hundred_thousand_rows_take_two_seconds(folder: Path, tmp_path: Path) -> None:
     with sqlite3.connect(folder / DATABASE) as source, sqlite3.connect(tmp_path / DATABASE) as target:
         source.backup(target)

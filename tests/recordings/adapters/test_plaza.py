@@ -94,6 +94,7 @@ def test_text_files_without_ground_truth(drive: Any, imported: Any) -> None:
     assert np.allclose(both.odometry[rows][1:], r.odometry[1:], equal_nan=True, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_filters_find_the_beacons(drive: Any, imported: Any, cellslam: Run) -> None:
     """Beacons that are polled in turn, one distance in 0.9 s, without any option."""
     savemat("Plaza1_.mat", tables(drive, False))
