@@ -12,6 +12,7 @@ from scipy.io import savemat
 from cellslam.sim.recording import Recording
 from tests.command_line import Run, refused
 
+pytestmark = pytest.mark.usefixtures("mat_files_read_here")
 BEACONS = {1: (-30.0, 18.0), 6: (12.0, 40.0), 0: (33.0, -5.0), 5: (-8.0, -38.0)}
 BEGIN_S, ANTENNA = 3152.0, 2
 EVERY = 10  # of the drive's steps: 5 Hz
