@@ -107,17 +107,6 @@ PARTS = (
 )
 
 
-# Checks of the conformance kit that run an estimator over long drives.
-LONG_CHECKS = ("memory_does_not_grow", "does_no_harm", "survives_missing_components")
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the long checks of the conformance kit as slow: the kit is also for other packages, without this marker."""
-    for item in items:
-        if any(f"test_conforms[{check}]" in item.name for check in LONG_CHECKS):
-            item.add_marker(pytest.mark.slow)
-
-
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile worlds and filters once, in two processes, before the workers of a whole suite all begin to; a worker has
     one thread, as those of a sweep have: of BLAS, too, whose threads wait for one another more than they work."""
