@@ -26,6 +26,7 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.randomness import Stream, stream
 from cellslam.slam.api import snapshots_of
 from cellslam.slam.conformance.subject import tiny_drive
+from tests.short_drive import SET
 
 NAME, ACTIVE = cellslam.benchmarks.env.LOCALIZATION, cellslam.benchmarks.env.ACTIVE_SLAM
 
@@ -72,12 +73,12 @@ def test_truth_is_in_info_alone_and_rewards_are_errors() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ekf-slam", "dead-reckoning"])
 def test_estimator_in_the_environment_is_the_estimator_of_run(name: str) -> None:
-    scenario = load("tiny")
+    scenario = load("tiny", SET)
     (request,) = resolve(scenario.estimator, (name,))
     warm_up(request)
     expected = estimate(simulate(scenario, 11, 0), request, stream(11, 0, Stream.ESTIMATOR))
     env = made()
-    seen, _ = env.reset(options={"scenario": "tiny", "seed": 11})
+    seen, _ = env.reset(options={"scenario": "tiny", "seed": 11, "set": SET})
     agent = EstimatorAgent(request.estimator(request.options), env.setup, stream(11, 0, Stream.ESTIMATOR))
     ended = False
     while not ended:
