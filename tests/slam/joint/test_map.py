@@ -194,6 +194,7 @@ def test_a_drive_with_a_map_is_better(
     assert np.median(own) < np.median(before)
 
 
+@pytest.mark.slow
 def test_clock_offsets_are_found_at_once_with_a_map(drives: list[Recording], maps: list[VtMap]) -> None:
     assert mapped(drives[1], maps[0], 40)[0].resolved
     assert not mapped(drives[1], None, 40)[0].resolved
@@ -244,6 +245,7 @@ def test_what_is_gone_is_forgotten(drives: list[Recording], maps: list[VtMap]) -
     assert twice is not None and twice.missed.max() == 0 and len(twice) == len(once) - 1
 
 
+@pytest.mark.slow
 def test_vts_out_of_reach_are_not_touched(drives: list[Recording], maps: list[VtMap]) -> None:
     known = maps[0]
     far = replace(known, seen_m=known.seen_m + 1e4)
