@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-CASES = 400
+CASES = 600
 LIMIT_S = 60.0  # of processor time
 
 
