@@ -233,6 +233,7 @@ return [...document.querySelectorAll("#summary tbody tr")].map((row) => first(ro
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no Chromium with chromedriver is installed")
 def test_page_in_a_browser(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "page.html"
