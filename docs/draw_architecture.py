@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
-from html import escape
 from functools import cache
+from html import escape
 from itertools import pairwise
 from pathlib import Path
 
