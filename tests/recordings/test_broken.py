@@ -135,6 +135,11 @@ BROKEN: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
     ),
     "ragged line": (paths("54,0.5,6", "54,0.5,6,7"), ("paths.csv", "line", "header")),
     "not UTF-8": (new_paths(b"t,tx,range,az,snr\n0,\xff\xfe,1,1,1\n"), ("paths.csv", "UTF-8")),
+    "header not UTF-8": (new_paths(b"t,tx,r\xff,az,snr\n0,1,1,1,1\n"), ("paths.csv", "UTF-8")),
+    "all lines too long": (
+        new_paths("t,tx,range,az,snr\n0.1,1,50,0.5,9,7\n0.2,2,51,0.5,9,7\n"),
+        ("paths.csv", "longer than the header"),
+    ),
     "infinite distance": (paths("53,0.5", "inf,0.5"), ("measurements.distance_m, row 3", "NaN")),
     "placeholder": (paths("53,0.5", "-9999,0.5"), ("measurements.distance_m, row 3", "-9999", "missing value")),
     "degrees": (paths("52,0.5", "52,28.6"), ("azimuth_rad, row 2", "degrees")),
