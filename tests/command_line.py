@@ -59,6 +59,6 @@ def command_line(words: tuple[object, ...], capfd: pytest.CaptureFixture[str]) -
 
 def refused(done: Done, *texts: str) -> None:
     """Assert that a command line was refused in one line that has these texts."""
-    assert done.status == 2 and done.err.count("\n") == 1 and done.err.startswith("cellslam: "), done.err
+    assert (done.status, done.out, done.err.count("\n")) == (2, "", 1) and done.err.startswith("cellslam: "), done.err
     for text in texts:
         assert text in done.err, done.err

@@ -26,6 +26,7 @@ from cellslam.cli.main import main
 from cellslam.sim.errors import InputError
 from tests.benchmarks.made_up_sweeps import EMPTY, made_up, plan_of
 from tests.benchmarks.sweeps.short_sweeps import words
+from tests.command_line import Run, refused
 
 BOTH = ("fastslam", "dead-reckoning")
 MIXED = {"grid": {"vehicle.duration_s": [50.0, 500.0], "radio.load": [0.1, 0.2]}}
@@ -183,10 +184,8 @@ def test_shards_need_no_locks_and_a_finished_sweep_nothing(
 
 
 @pytest.mark.parametrize("text", ["0/3", "4/3", "3", "a/b", "1/-2"])
-def test_what_is_no_shard_is_refused(text: str, capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["sweep", "tiny", "--out", "x", "--shard", text])
-    assert f"'{text}' is no shard: write I/N" in capfd.readouterr().err
+def test_what_is_no_shard_is_refused(text: str, cellslam: Run) -> None:
+    refused(cellslam("sweep", "tiny", "--out", "x", "--shard", text), f"'{text}' is no shard: write I/N")
 
 
 STUBS = {
