@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from html import escape
 from itertools import pairwise
 from pathlib import Path
@@ -37,6 +38,7 @@ def packages(layer: str) -> list[str]:
     return sorted(p.name for p in (ROOT / layer).iterdir() if (p / "__init__.py").is_file() and not p.is_symlink())
 
 
+@cache
 def uses() -> dict[str, set[str]]:
     """Return for each package, as "layer/package" or "layer" for what stands in none, the others that it imports."""
     out: dict[str, set[str]] = {}

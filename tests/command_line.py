@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -48,26 +46,19 @@ class Oracle(Mine):
 """
 
 
-@pytest.fixture
-def cellslam(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
-    """Runs a command line in an empty directory; words may be anything that has a text."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-
-    def run(*words: object) -> Done:
-        capfd.readouterr()
-        try:
-            status = main([str(word) for word in words])
-        except SystemExit as error:
-            status = int(error.code or 0)
-        captured = capfd.readouterr()
-        return Done(status, captured.out, captured.err)
-
-    return run
+def command_line(words: tuple[object, ...], capfd: pytest.CaptureFixture[str]) -> Done:
+    """Run a command line; words may be anything that has a text."""
+    capfd.readouterr()
+    try:
+        status = main([str(word) for word in words])
+    except SystemExit as error:
+        status = int(error.code or 0)
+    captured = capfd.readouterr()
+    return Done(status, captured.out, captured.err)
 
 
 def refused(done: Done, *texts: str) -> None:
     """Assert that a command line was refused in one line that has these texts."""
-    assert done.status == 2 and done.err.count("\n") == 1 and done.err.startswith("cellslam: "), done.err
+    assert (done.status, done.out, done.err.count("\n")) == (2, "", 1) and done.err.startswith("cellslam: "), done.err
     for text in texts:
         assert text in done.err, done.err

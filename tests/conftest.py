@@ -10,11 +10,14 @@ import numba
 import numpy as np
 import pytest
 
+from cellslam.scenarios import load
+from cellslam.sim import simulate
 from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Links, Measurements, OdometryModel, Recording, Sites, Truth, VirtualTransmitters
 from cellslam.slam.model.measurement_model import predict
 
 sys.path.append(str(Path(__file__).parents[1]))  # for `tools`; what is installed goes before
+from tests.command_line import Done, Run, command_line
 
 
 def make_toy_recording(snapshots: int = 40, seed: int = 0, truth: bool = True) -> Recording:
@@ -74,6 +77,24 @@ def toy_recording() -> Callable[..., Recording]:
     return make_toy_recording
 
 
+@pytest.fixture(scope="session")
+def tiny() -> Recording:
+    """A drive of the preset `tiny` as it is; worlds that differ in one key are compared with it."""
+    return simulate(load("tiny").world, 3, 0)
+
+
+@pytest.fixture
+def cellslam(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
+    """Runs a command line in this process, in an empty directory."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+
+    def run(*words: object) -> Done:
+        return command_line(words, capfd)
+
+    return run
+
+
 WORLD = "from cellslam.benchmarks.bound.cramer_rao import bound; import cellslam; bound(cellslam.simulate('tiny'))"
 FILTER = (
     "from cellslam.slam.registry import options_model, resolve; "
@@ -86,22 +107,12 @@ PARTS = (
 )
 
 
-# Checks of the conformance kit that run an estimator over long drives.
-LONG_CHECKS = ("memory_does_not_grow", "does_no_harm", "survives_missing_components")
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the long checks of the conformance kit as slow: the kit is also for other packages, without this marker."""
-    for item in items:
-        if any(f"test_conforms[{check}]" in item.name for check in LONG_CHECKS):
-            item.add_marker(pytest.mark.slow)
-
-
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile worlds and filters once, in two processes, before the workers of a whole suite all begin to; a worker has
     one thread, as those of a sweep have: of BLAS, too, whose threads wait for one another more than they work."""
     config = session.config
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # the workers' libraries read it when they are imported
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # or a hundred processes compile the same modules
     if hasattr(config, "workerinput"):
         numba.set_num_threads(1)
     if hasattr(config, "workerinput") or config.args_source is not config.ArgsSource.TESTPATHS:

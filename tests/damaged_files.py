@@ -170,7 +170,9 @@ def sound_files(folder: Path) -> dict[str, Sound]:
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
     """Return `data` with some bytes changed or a piece cut out, repeated or put in; half the time numerals alone
-    change."""
+    change; now and then arbitrary bytes."""
+    if rng.random() < 0.05:
+        return rng.bytes(int(rng.integers(400)))
     out = bytearray(data)
     numerals = [i for i, byte in enumerate(out) if chr(byte).isdecimal()]
     if numerals and rng.random() < 0.5:

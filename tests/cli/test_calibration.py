@@ -74,6 +74,7 @@ class Own:
 """
 
 
+@pytest.mark.slow
 def test_estimator_in_a_process_of_its_own_takes_and_gives_one(drive: Path, cellslam: Run) -> None:
     Path("owned.py").write_text(OWN)
     size, weights = np.array([0.2, 0.0, 0.0]), np.array([0.1, -0.3])

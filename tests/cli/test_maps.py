@@ -45,10 +45,12 @@ def test_run_and_replay_begin_with_what_a_drive_left(first: Path, cellslam: Run)
 
 @pytest.mark.slow
 def test_a_sequence_begins_with_its_earlier_drives(cellslam: Run) -> None:
-    given = ("run", "tiny", *KNOWN_CLOCKS, *EKF, "--seed", "72", "--json")
-    (alone,), (second,) = cellslam(*given).rows, cellslam(*given, "--set", "map.drives=2").rows
-    assert second["bound_position_rmse_m"] < alone["bound_position_rmse_m"]
-    assert second["position_rmse_m"] != alone["position_rmse_m"]
+    given = ("sweep", "tiny", *KNOWN_CLOCKS, "--sweep", "map.drives=1,2", "--estimator", "ekf-slam", "--quiet")
+    assert cellslam(*given, "--seed", "72", "--executor", "serial", "--out", "out").status == 0
+    found = results("out")
+    assert found["map.drives"].tolist() == [1, 2] and (found["status"] == "ok").all()
+    alone_m, second_m = found["bound_position_rmse_m"]
+    assert second_m < alone_m and found["position_rmse_m"].nunique() == 2
 
 
 @pytest.mark.slow
@@ -67,6 +69,7 @@ def test_cars_leave_one_map_together() -> None:
     assert later.hits.sum() > two.hits.sum()
 
 
+@pytest.mark.slow
 def test_maps_are_joined(first: Path, cellslam: Run) -> None:
     given = ("run", "tiny", *KNOWN_CLOCKS, *EKF, "--seed", "73")
     assert cellslam(*given, "--save-map", "second.h5").status == 0
@@ -94,12 +97,3 @@ def test_requests_that_cannot_be_met_say_why(first: Path, cellslam: Run) -> None
         (("sweep", "tiny", "--map", "broken.h5", "--out", "out"), "truncated"),
     ):
         refused(cellslam(*words), text)
-
-
-@pytest.mark.slow
-def test_drives_of_a_sequence_are_points_of_a_sweep(cellslam: Run) -> None:
-    given = ("sweep", "tiny", *KNOWN_CLOCKS, "--sweep", "map.drives=1,2", "--estimator", "ekf-slam", "--quiet")
-    assert cellslam(*given, "--seed", "72", "--executor", "serial", "--out", "out").status == 0
-    found = results("out")
-    assert found["map.drives"].tolist() == [1, 2] and found["position_rmse_m"].nunique() == 2
-    assert (found["status"] == "ok").all()

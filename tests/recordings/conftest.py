@@ -1,20 +1,33 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
+from subprocess import CompletedProcess, TimeoutExpired
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.io import loadmat
 
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.recordings.importing import matlab
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.recording import Recording
-from tests.command_line import cellslam
 
-__all__ = ["cellslam"]
 STEP_S = 0.02
+
+
+@pytest.fixture
+def mat_files_read_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sound .mat files are read without a process of their own, which takes a second to begin."""
+
+    def run(words: list[str], **_: object) -> CompletedProcess[bytes]:
+        return CompletedProcess(words, 0, pickle.dumps(loadmat(words[-1], simplify_cells=False)))
+
+    monkeypatch.setattr(matlab, "subprocess", SimpleNamespace(run=run, TimeoutExpired=TimeoutExpired))
 
 
 @pytest.fixture(scope="session")

@@ -226,6 +226,7 @@ def partial_drive(draw: st.DrawFn, toy: Toy) -> Recording:
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
+@pytest.mark.usefixtures("mat_files_read_here")
 @pytest.mark.parametrize("write", [write_csv, write_mat])
 def test_a_round_trip_is_a_round_trip(
     write: Callable[[Recording, Path], None], toy_recording: Toy, data: st.DataObject

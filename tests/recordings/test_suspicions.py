@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pytest
@@ -41,6 +42,12 @@ HARD = (
 )
 
 
+@cache
+def right(world: str) -> Campaign:
+    """A sound campaign; mistakes are planted in copies."""
+    return worlds.WORLDS[world](101)
+
+
 @pytest.fixture(scope="module")
 def cellular() -> Recording:
     """A simulated drive of 30 s through a city, of which a reference at 2 Hz is known, with yaw."""
@@ -50,14 +57,14 @@ def cellular() -> Recording:
 @pytest.mark.slow
 @pytest.mark.parametrize("world", ["hall", "few places", "beacons", "rover", "tubes", "trees", "cellular"])
 def test_sound_campaigns_raise_nothing(world: str) -> None:
-    assert suspicions(build(worlds.WORLDS[world](101))) == []
+    assert suspicions(build(right(world))) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("mistake", "world"), HARD)
 def test_a_mistake_is_named(mistake: str, world: str) -> None:
     plant, kinds = worlds.MISTAKES[mistake]
-    found = [s.kind for s in suspicions(build(plant(worlds.WORLDS[world](101))))]
+    found = [s.kind for s in suspicions(build(plant(right(world))))]
     assert found and found[0] in kinds, found
 
 
@@ -72,19 +79,20 @@ def test_headings_that_jitter_are_no_degrees() -> None:
 
 def test_an_arm_of_the_reference_points_to_the_array() -> None:
     """A reference 2 m behind the array is cured by the lever arm that `recording.toml` asks for."""
-    right = worlds.hall(101)
-    assert right.reference is not None
-    behind = worlds.at_arm(np.column_stack([right.reference.position_m, right.reference.yaw_rad]), (-2.0, 0.0))
-    moved = dataclasses.replace(right.reference, position_m=behind[:, :2], yaw_rad=None)
-    found = suspicions(build(dataclasses.replace(right, reference=moved)))
+    hall = right("hall")
+    assert hall.reference is not None
+    behind = worlds.at_arm(np.column_stack([hall.reference.position_m, hall.reference.yaw_rad]), (-2.0, 0.0))
+    moved = dataclasses.replace(hall.reference, position_m=behind[:, :2], yaw_rad=None)
+    found = suspicions(build(dataclasses.replace(hall, reference=moved)))
     arm = re.search(r"reference.lever_arm_m = \[(\S+), ", " ".join(s.text for s in found))
     assert arm is not None and float(arm[1]) == pytest.approx(2.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_the_remedy_is_told() -> None:
     """The mistake is measured, and its cure is in the words of `recording.toml`."""
     plant, _ = worlds.MISTAKES["odometry 2 s late"]
-    found = suspicions(build(plant(worlds.WORLDS["hall"](101))))
+    found = suspicions(build(plant(right("hall"))))
     late = re.search(r"offset_s = -(\S+) and clock = \"NAME\" in \[odometry\]", found[0].text)
     assert late is not None and float(late[1]) == pytest.approx(2.0, abs=0.2)
     assert "measured paths and odometry" in found[0].text and "reference and odometry" in found[0].text
@@ -109,6 +117,7 @@ def test_whole_numbers_are_samples(cellular: Recording, take: Callable[..., Reco
     assert [s.kind for s in found] == ["samples"] and "sample_rate_hz" in found[0].text
 
 
+@pytest.mark.slow
 def test_a_clockwise_yaw_of_the_reference_is_named(cellular: Recording) -> None:
     assert cellular.reference is not None
     yaw = wrap_angle(np.pi / 2 - cellular.reference.yaw_rad)

@@ -18,13 +18,8 @@ from cellslam.slam.model.measurement_model import jacobians, predict
 DRIFT = 1e-9
 
 
-@pytest.fixture(scope="module")
-def drifting() -> Recording:
-    return simulate(load("tiny", {"radio.clock_drift": DRIFT}).world, 3, 0)
-
-
-def test_distances_drift_and_nothing_else_changes(drifting: Recording) -> None:
-    constant = simulate(load("tiny", {}).world, 3, 0)
+def test_distances_drift_and_nothing_else_changes(tiny: Recording) -> None:
+    drifting, constant = simulate(load("tiny", {"radio.clock_drift": DRIFT}).world, 3, 0), tiny
     assert constant.truth is not None and drifting.truth is not None and drifting.truth.clock_drift_m_s is not None
     m, rate = drifting.measurements, drifting.truth.clock_drift_m_s
     assert np.allclose(drifting.sites.drift_std_m_s, SPEED_OF_LIGHT_MPS * DRIFT) and np.abs(rate).max() < 4 * 0.3

@@ -3,17 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from cellslam.benchmarks.bound.cramer_rao import bound
 from cellslam.scenarios import load
 from cellslam.sim import simulate
 from cellslam.sim.recording import ClockSteps, Recording
-
-
-@pytest.fixture(scope="module")
-def plain() -> Recording:
-    return simulate(load("tiny", {}).world, 3, 0)
 
 
 def walking(recording: Recording, walk: float, rate_walk: float) -> Recording:
@@ -32,18 +26,18 @@ def of_first_site(recording: Recording) -> Recording:
     return replace(recording, measurements=replace(m, **columns), truth=truth)
 
 
-def test_an_unseen_clock_walks_as_the_formula_says(plain: Recording) -> None:
+def test_an_unseen_clock_walks_as_the_formula_says(tiny: Recording) -> None:
     """150^2 + q1 t + q2 t^3 / 3, with q1 = 4 m^2/s and q2 = 0.25 m^2/s^3."""
-    result, t = bound(walking(of_first_site(plain), 2.0, 0.5)), plain.elapsed_s
+    result, t = bound(walking(of_first_site(tiny), 2.0, 0.5)), tiny.elapsed_s
     expected = 150.0**2 + 4.0 * t + 0.25 * t**3 / 3.0
     np.testing.assert_allclose(result.clock_offset_std_m[:, 1] ** 2, expected, rtol=1e-4)
 
 
-def test_a_known_step_is_found_again(plain: Recording) -> None:
+def test_a_known_step_is_found_again(tiny: Recording) -> None:
     """Before it nothing changes; after it the offset is known again, by the map, and the pose about as well."""
     steps = ClockSteps(np.zeros(1, np.int64), np.array([20.0]), np.array([30.0]))
-    stepped, known = bound(replace(plain, truth=replace(plain.truth, clock_steps=steps))), bound(plain)
-    at = int(np.searchsorted(plain.elapsed_s, 20.0))
+    stepped, known = bound(replace(tiny, truth=replace(tiny.truth, clock_steps=steps))), bound(tiny)
+    at = int(np.searchsorted(tiny.elapsed_s, 20.0))
     np.testing.assert_array_equal(stepped.pose_covariance[:at], known.pose_covariance[:at])
     assert (stepped.clock_offset_std_m[at:, 0] > known.clock_offset_std_m[at:, 0]).all()
     assert stepped.clock_offset_std_m[-1, 0] < 2.0 * known.clock_offset_std_m[-1, 0]

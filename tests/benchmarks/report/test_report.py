@@ -94,6 +94,7 @@ def test_summary_and_curves_hold_the_medians(folder: Path, said: dict[str, Any])
     assert {c for name, c in drawn if name == "dead-reckoning"} == {to_hex(colour_of("dead-reckoning"))}
 
 
+@pytest.mark.slow
 def test_worst_trials_are_the_worst_each_once(folder: Path) -> None:
     frame, data, names = results(folder), load(folder), ("fastslam", "dead-reckoning")
     found = worst_trials(data, Choice(worst=3, estimators=names))
@@ -108,6 +109,7 @@ def test_worst_trials_are_the_worst_each_once(folder: Path) -> None:
     assert worst_trials(data, Choice(worst=0)) == []
 
 
+@pytest.mark.slow
 def test_sections_show_the_world_of_the_trial(said: dict[str, Any]) -> None:
     trial = said["trials"][0]
     loaded = float(trial["settings"].rpartition(" = ")[2])
@@ -130,6 +132,7 @@ def test_sections_show_the_world_of_the_trial(said: dict[str, Any]) -> None:
     assert trial["note"] == "" and scene["city"] in said["cities"]
 
 
+@pytest.mark.slow
 def test_sections_show_what_was_estimated(folder: Path, said: dict[str, Any]) -> None:
     trial, frame = said["trials"][0], results(folder)
     estimates = {one["label"]: one for one in trial["estimates"]}
@@ -148,6 +151,7 @@ def test_sections_show_what_was_estimated(folder: Path, said: dict[str, Any]) ->
     assert said["provenance"]["runs"][0]["command"].startswith("cellslam sweep tiny")
 
 
+@pytest.mark.slow
 def test_a_world_that_is_not_the_same_is_not_shown(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = world.prepare
 
@@ -182,6 +186,7 @@ def test_data_cannot_leave_their_element() -> None:
     assert rounded([[0.126, np.nan], [-0.001, np.inf]]) == [[0.13, None], [0.0, None]]
 
 
+@pytest.mark.slow
 def test_without_trajectories_the_rows_are_told(folder: Path, tmp_path: Path) -> None:
     (tmp_path / DATABASE).write_bytes((folder / DATABASE).read_bytes())
     trial = content(tmp_path, Choice(worst=1), silent)["trials"][0]
@@ -243,6 +248,7 @@ return [...document.querySelectorAll("#summary tbody tr")].map((row) => first(ro
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no Chromium with chromedriver is installed")
 def test_page_in_a_browser(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "page.html"

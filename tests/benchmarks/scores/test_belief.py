@@ -112,6 +112,7 @@ def test_a_smoother_claims_nothing(make_recording: Any) -> None:
     assert scores["position_rmse_m"] is not None
 
 
+@pytest.mark.slow
 def test_scores_take_milliseconds(make_recording: Any) -> None:
     recording = make_recording(seed=4, snapshots=5000)
     result = claiming(recording, 1.0)

@@ -26,6 +26,7 @@ from cellslam.cli.main import main
 from cellslam.sim.errors import InputError
 from tests.benchmarks.made_up_sweeps import EMPTY, made_up, plan_of
 from tests.benchmarks.sweeps.short_sweeps import words
+from tests.command_line import Run, refused
 
 BOTH = ("fastslam", "dead-reckoning")
 MIXED = {"grid": {"vehicle.duration_s": [50.0, 500.0], "radio.load": [0.1, 0.2]}}
@@ -158,17 +159,7 @@ def test_watch_shows_what_others_have_done(tmp_path: Path, capfd: pytest.Capture
 def test_shards_give_the_rows_of_one_sweep_though_killed_and_doubled() -> None:
     line = [
         sys.executable,
-        "-m",
-        "tools",
-        "shards",
-        "--shards",
-        "6",
-        "--killed",
-        "2",
-        "--doubled",
-        "1",
-        "--trials",
-        "6",
+        *["-m", "tools", "shards", "--shards", "6", "--killed", "2", "--doubled", "1", "--trials", "6"],
     ]
     done = subprocess.run(line, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0 and "are those of one" in done.stdout, done.stdout + done.stderr
@@ -193,10 +184,8 @@ def test_shards_need_no_locks_and_a_finished_sweep_nothing(
 
 
 @pytest.mark.parametrize("text", ["0/3", "4/3", "3", "a/b", "1/-2"])
-def test_what_is_no_shard_is_refused(text: str, capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["sweep", "tiny", "--out", "x", "--shard", text])
-    assert f"'{text}' is no shard: write I/N" in capfd.readouterr().err
+def test_what_is_no_shard_is_refused(text: str, cellslam: Run) -> None:
+    refused(cellslam("sweep", "tiny", "--out", "x", "--shard", text), f"'{text}' is no shard: write I/N")
 
 
 STUBS = {

@@ -24,6 +24,7 @@ from cellslam.sim.errors import InputError
 from tests.benchmarks.made_up_sweeps import plan_of
 from tests.benchmarks.sweeps.short_sweeps import rows, start, stored, wait_for, words
 from tests.benchmarks.trials.hostile_estimators import MISFITS
+from tests.command_line import Run, refused
 from tests.short_drive import SET
 
 
@@ -169,15 +170,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("kind", WRONG)
-def test_wrong_request_is_one_line_and_leaves_nothing(
-    place: Path, capfd: pytest.CaptureFixture[str], kind: str
-) -> None:
+def test_wrong_request_is_one_line_and_leaves_nothing(tmp_path: Path, cellslam: Run, kind: str) -> None:
     line, expected = WRONG[kind]
-    try:
-        status = main(line)
-    except SystemExit as end:
-        status = int(str(end.code))
-    out, err = capfd.readouterr()
-    assert (status, out, err.count("\n")) == (2, "", 1), err
-    assert expected in err
-    assert {path.name for path in place.iterdir()} == {"misfits.py"}
+    refused(cellslam(*line), expected)
+    assert not list(tmp_path.iterdir())

@@ -40,14 +40,17 @@ def trajectory(rng: np.random.Generator, claimed: float) -> bytes:
     return file.getvalue()
 
 
-def swept(out: Path, claimed: dict[str, float]) -> Path:
-    rng = np.random.default_rng(4)
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Drives of an honest estimator, and of one that claims too much."""
+    rng, claimed = np.random.default_rng(4), {"fastslam": 1.0, "ekf-slam": 0.6}
     made = plan_of({}, tuple(claimed), TRIALS)
+    out = tmp_path_factory.mktemp("swept")
     return made_up(out, made, packed=lambda _, job: trajectory(rng, claimed[job.estimator]))
 
 
-def test_an_honest_estimator_lies_in_the_bands_and_one_that_claims_too_much_does_not(tmp_path: Path) -> None:
-    frame = consistency(swept(tmp_path, {"fastslam": 1.0, "ekf-slam": 0.6}), times=20)
+def test_an_honest_estimator_lies_in_the_bands_and_one_that_claims_too_much_does_not(swept: Path) -> None:
+    frame = consistency(swept, times=20)
     consistent, confident = (frame[frame["estimator"] == name] for name in ("fastslam", "ekf-slam"))
     assert list(consistent["time_s"]) == pytest.approx(np.arange(1, 21))
     assert consistent["nees"].between(consistent["nees_low"], consistent["nees_high"]).mean() >= 0.85
@@ -65,8 +68,8 @@ def test_an_honest_estimator_lies_in_the_bands_and_one_that_claims_too_much_does
     assert nees_band(100) == pytest.approx((1.627, 2.411), abs=1e-3)  # means of chi-square
 
 
-def test_the_page_shows_who_claims_too_much_and_over_how_many_drives(tmp_path: Path) -> None:
-    data = load(swept(tmp_path, {"fastslam": 1.0, "ekf-slam": 0.6}))
+def test_the_page_shows_who_claims_too_much_and_over_how_many_drives(swept: Path) -> None:
+    data = load(swept)
     shown = {
         one.label: Shown([claimed_in(drive) for drive in data.drives(one)], *data.over_time(one, "nees"))  # type: ignore[misc]
         for one in data.panels[0].series
@@ -85,13 +88,14 @@ def test_the_page_shows_who_claims_too_much_and_over_how_many_drives(tmp_path: P
     assert not draw(empty, {}) and not empty.axes
 
 
-def test_command_prints_it_and_says_where_nothing_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = swept(tmp_path / "a", {"fastslam": 1.0})
-    assert main(["consistency", str(folder), "--times", "4", "--format", "md"]) == 0
+def test_command_prints_it_and_says_where_nothing_is_kept(
+    swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["consistency", str(swept), "--times", "4", "--format", "md"]) == 0
     table = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| fastslam")]
     assert len(table) == 4 and "1.63 to 2.41" in table[0]
     with pytest.raises(InputError, match="no trajectories"):
-        consistency(made_up(tmp_path / "b", plan_of({})))
+        consistency(made_up(tmp_path, plan_of({})))
 
 
 def test_vt_nees_is_against_the_vt_that_an_estimate_stands_for(make_recording: Any) -> None:

@@ -16,6 +16,7 @@ from cellslam.cli.main import main
 from cellslam.scenarios import load, suites
 from cellslam.scenarios.suites import SUITES, Suite, digest, scenario_of, suite, superseded_by
 from cellslam.sim.errors import InputError
+from tests.command_line import Run, refused
 from tests.short_drive import SET
 
 # A suite never changes: what would change its results is another version.
@@ -74,6 +75,7 @@ def test_accuracy_writes_its_tables_and_resumes(
     assert "1 of them finished already" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_changed_options_are_another_row_and_not_the_result_of_the_suite(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -177,10 +179,6 @@ def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
         (("--set", "estimator.fastslam.lag=0", "--check", "x.json"), "leave out --set"),
     ],
 )
-def test_wrong_requests_are_one_line(
-    words: tuple[str, ...], expected: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["bench", "accuracy", "--out", str(tmp_path / "out"), *words]) == 2
-    err = capfd.readouterr().err
-    assert err.count("\n") == 1 and expected in err
+def test_wrong_requests_are_one_line(words: tuple[str, ...], expected: str, tmp_path: Path, cellslam: Run) -> None:
+    refused(cellslam("bench", "accuracy", "--out", "out", *words), expected)
     assert not list(tmp_path.iterdir())

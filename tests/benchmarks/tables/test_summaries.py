@@ -21,6 +21,7 @@ from cellslam.cli.main import main
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 from tests.benchmarks.made_up_sweeps import made_up, plan_of
+from tests.command_line import Run, refused
 
 TRIALS = 12
 
@@ -177,21 +178,16 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("command", "words", "expected"), WRONG)
-def test_wrong_request_is_one_line(
-    folder: Path, capfd: pytest.CaptureFixture[str], command: str, words: str, expected: str
-) -> None:
-    assert main([command, str(folder), *words.split()]) == 2
-    out, err = capfd.readouterr()
-    assert out == "" and err.count("\n") == 1 and expected in err
+def test_wrong_request_is_one_line(folder: Path, cellslam: Run, command: str, words: str, expected: str) -> None:
+    refused(cellslam(command, folder, *words.split()), expected)
 
 
 @pytest.mark.parametrize("command", ["table", "figures", "report"])
-def test_a_folder_without_results_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], command: str) -> None:
-    assert main([command, str(tmp_path)]) == 2
-    err = capfd.readouterr().err
-    assert err.count("\n") == 1 and "no results" in err
+def test_a_folder_without_results_is_one_line(cellslam: Run, command: str) -> None:
+    refused(cellslam(command, "."), "no results")
 
 
+@pytest.mark.slow
 def test_a_hundred_thousand_rows_take_two_seconds(folder: Path, tmp_path: Path) -> None:
     with sqlite3.connect(folder / DATABASE) as source, sqlite3.connect(tmp_path / DATABASE) as target:
         source.backup(target)

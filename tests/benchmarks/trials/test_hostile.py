@@ -170,6 +170,7 @@ def test_a_module_that_is_never_imported_costs_the_time_limit(place: Path) -> No
         request.estimator(None)
 
 
+@pytest.mark.slow
 def test_no_more_processes_than_allowed(
     place: Path, toy_recording: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -195,6 +196,7 @@ def test_a_module_that_cannot_be_imported(place: Path, source: str, words: str) 
     assert f"its module cannot be imported: {words}" in bad["error"]
 
 
+@pytest.mark.slow
 def test_what_is_patched_at_import_stays_there(place: Path) -> None:
     patch = "from cellslam.benchmarks.scores import metrics\nmetrics.score = lambda *_: {}\n"
     (place / "patching.py").write_text(f"{hostile.MISFITS}\n{patch}", "utf-8")

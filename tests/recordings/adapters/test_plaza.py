@@ -12,6 +12,7 @@ from scipy.io import savemat
 from cellslam.sim.recording import Recording
 from tests.command_line import Run, refused
 
+pytestmark = pytest.mark.usefixtures("mat_files_read_here")
 BEACONS = {1: (-30.0, 18.0), 6: (12.0, 40.0), 0: (33.0, -5.0), 5: (-8.0, -38.0)}
 BEGIN_S, ANTENNA = 3152.0, 2
 EVERY = 10  # of the drive's steps: 5 Hz
@@ -94,6 +95,7 @@ def test_text_files_without_ground_truth(drive: Any, imported: Any) -> None:
     assert np.allclose(both.odometry[rows][1:], r.odometry[1:], equal_nan=True, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_filters_find_the_beacons(drive: Any, imported: Any, cellslam: Run) -> None:
     """Beacons that are polled in turn, one distance in 0.9 s, without any option."""
     savemat("Plaza1_.mat", tables(drive, False))

@@ -133,6 +133,7 @@ def test_a_step_of_the_fixes_does_not_turn_the_start() -> None:
         assert abs(pose[3] - 0.6) < np.radians(3.6)
 
 
+@pytest.mark.usefixtures("mat_files_read_here")
 def test_files_that_lack_something(tmp_path: Path) -> None:
     """A text file in place of the scans is looked for first."""
     vehicle_world.write(tmp_path, vehicle_world.drive(30.0, 60, 4, size_m=80.0), 5, detected=True)

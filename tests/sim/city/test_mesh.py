@@ -152,6 +152,22 @@ def test_shipped_scenes(monkeypatch):
         load("sionna-rt:munich")
 
 
+CORNERS = b"""ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+3 0 1 9
+"""
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -165,6 +181,7 @@ def test_shipped_scenes(monkeypatch):
         ("latin.obj", b"# Stra\xdfe\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not UTF-8"),
         ("mesh.dwg", b"", "format '.dwg'; allowed: .ply"),
         ("nowhere.ply", None, "cannot read mesh"),
+        ("corners.ply", CORNERS, "do not exist"),
         ("empty.osm", b"", "is empty"),
         ("nothing.osm", b"<osm version='0.6'></osm>", "no building"),
         ("noise.osm", b"\x00\x01", "cannot"),

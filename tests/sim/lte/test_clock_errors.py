@@ -48,18 +48,13 @@ def test_the_walk_does_not_depend_on_the_interval():
         assert np.var(errors.wander_m[-1]) == pytest.approx(expected, rel=0.09)
 
 
-@pytest.fixture(scope="module")
-def plain() -> Recording:
-    return simulate(load("tiny", {}).world, 3, 0)
-
-
-def test_steps_are_in_the_distances_and_in_the_truth(plain, tmp_path):
+def test_steps_are_in_the_distances_and_in_the_truth(tiny, tmp_path):
     sets = {"radio.clock_step_times_s": [10.0], "radio.clock_step_std_m": 30.0, "radio.clock_oscillator": "ocxo"}
     stepped = simulate(load("tiny", sets).world, 3, 0)
     truth, m = stepped.truth, stepped.measurements
-    np.testing.assert_array_equal(m.azimuth_rad, plain.measurements.azimuth_rad)
+    np.testing.assert_array_equal(m.azimuth_rad, tiny.measurements.azimuth_rad)
     site = stepped.links.site[m.link]
-    added = m.distance_m - plain.measurements.distance_m
+    added = m.distance_m - tiny.measurements.distance_m
     np.testing.assert_allclose(added, truth.clock_wander_m[m.snapshot, site], atol=1e-9)
     offsets = truth.clock_offsets_at(stepped.elapsed_s)
     jump = np.diff(offsets, axis=0)[np.searchsorted(stepped.elapsed_s, 10.0) - 1]
@@ -72,8 +67,8 @@ def test_steps_are_in_the_distances_and_in_the_truth(plain, tmp_path):
     np.testing.assert_array_equal(again.truth.clock_wander_m, truth.clock_wander_m)
 
 
-def test_a_step_of_the_receiver_is_one_for_all(plain):
+def test_a_step_of_the_receiver_is_one_for_all(tiny):
     config = RadioConfig(clock_steps_per_hour=360.0, clock_steps_together=True)
     errors = draw_clock_errors(config, np.arange(0.0, 100.0, 0.1), 3, np.random.default_rng(4))
     assert len(errors.steps) >= 3 and (errors.wander_m == errors.wander_m[:, :1]).all()
-    assert plain.truth.clock_steps is None and plain.truth.clock_wander_m is None
+    assert tiny.truth.clock_steps is None and tiny.truth.clock_wander_m is None

@@ -53,7 +53,14 @@ OPTIONS: dict[str, Any] = {
 
 
 class TestBuiltIn(EstimatorConformance):
-    @pytest.fixture(params=[entry.name for entry in registry.BUILT_IN if entry.name not in registry.left_out()])
+    # Oracles are other estimators that are told the truth: what all share is tried with these.
+    @pytest.fixture(
+        params=[
+            pytest.param(entry.name, marks=[pytest.mark.slow] * entry.oracle)
+            for entry in registry.BUILT_IN
+            if entry.name not in registry.left_out()
+        ]
+    )
     def estimator(self, request: pytest.FixtureRequest) -> type[Any]:
         return registry.resolve(request.param)
 

@@ -36,6 +36,7 @@ def test_a_full_state_takes_in_no_more_and_says_so(toy_recording: Toy, monkeypat
     assert any("the state is full" in line for line in one.remarks())
 
 
+@pytest.mark.slow
 def test_uncertain_clocks_take_wider_components_rather_than_more(toy_recording: Toy) -> None:
     recording = toy_recording()
     sites = replace(recording.sites, clock_offset_std_m=np.full(2, 3e4))

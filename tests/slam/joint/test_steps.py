@@ -68,6 +68,7 @@ def test_a_step_is_found_as_if_the_offset_had_been_open(one_filter, kalman):
     np.testing.assert_allclose(one.f.p[: one.n, : one.n] / np.outer(std, std), p / np.outer(std, std), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_false_alarms_are_as_rare_as_stated(one_filter):
     """Blocks drawn from the filter's own model: alarms come as chi-square says, below the stated probability."""
     probability, rng, alarms, blocks = 0.05, np.random.default_rng(5), 0, 4000
@@ -87,6 +88,7 @@ def test_false_alarms_are_as_rare_as_stated(one_filter):
     assert abs(alarms - blocks * rate) < 3.0 * np.sqrt(blocks * rate)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("azimuths", "found"), [((0.3, 0.4, 0.2), False), ((0.3, 1.8, -2.8), True)])
 def test_what_a_slip_explains_is_no_step(one_filter, azimuths, found):
     """All distances are 0.8 m short: where VTs are ahead alone, the vehicle may as well be farther than it knows."""

@@ -25,9 +25,13 @@ from cellslam.sim.lte.signal.receiver import Receiver, receiver_of
 from cellslam.sim.nr.nr_waveform import NrWaveform
 from cellslam.sim.waveform.waveform import Waveform
 
-evaluate, correlate = njit(fit_kernel.evaluate), njit(fit_kernel.correlate)
-standing_out, local_level = njit(search_kernel.standing_out), njit(search_kernel.local_level)
-level_around = njit(search_kernel.level_around)
+evaluate, correlate, standing_out, local_level, level_around = (
+    njit(part, cache=True)
+    for part in (
+        fit_kernel.evaluate, fit_kernel.correlate, search_kernel.standing_out, search_kernel.local_level,
+        search_kernel.level_around,
+    )
+)  # fmt: skip
 ARRAY, TONES = CircularArray(), LteWaveform(100).tones_hz
 TIMES, CARRIER_HZ = switching_times_s(ARRAY), 2.66e9
 RECEIVER, STILL = Receiver(), np.zeros(3)

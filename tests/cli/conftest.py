@@ -1,3 +1,0 @@
-from tests.command_line import cellslam
-
-__all__ = ["cellslam"]
