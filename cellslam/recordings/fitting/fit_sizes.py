@@ -12,12 +12,13 @@ They are taken where, and only where, they predict what is measured later better
 So is the time constant with which a vehicle follows its commands, before them, where odometry is what it was commanded.
 
 Sources: Shumway and Stoffer, "An approach to time series smoothing and forecasting using the EM algorithm", Journal of
-Time Series Analysis 3(4), 1982; `slam.joint.sizes` has those of the steps.
+Time Series Analysis 3(4), 1982; Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984, section
+3.4 (within one deviation of the best); `slam.joint.sizes` has those of the steps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -105,21 +106,24 @@ def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Pro
 
 
 def _followed(recording: Recording, default: Learnt, advance: Callable[[int], None]) -> OdometryModel:
-    """Return the data sheet of commands with the time constant that predicts best what is measured later, if that is
-    surely better than that the vehicle follows at once."""
-    options = EkfSlamOptions(**default.options)
+    """Return the data sheet of commands with the least time constant that predicts what is measured later as well as
+    the best one, within one deviation (Breiman et al. 1984), if that is surely better than that the vehicle follows at
+    once. Too great a one predicts nearly as well, and errs more."""
+    options, found = EkfSlamOptions(**default.options), dict[float, Floats]()
 
-    def score(time_constant_s: float) -> Floats:
-        sheet = replace(default.odometry_model, time_constant_s=time_constant_s)
-        advance(1)
-        return scores(recording, Sheets(options, sheet), [options])
+    def try_out(time_constants_s: Sequence[float]) -> float:
+        for tau in time_constants_s:
+            sheet = replace(default.odometry_model, time_constant_s=tau)
+            found[tau] = scores(recording, Sheets(options, sheet), [options])
+            advance(1)
+        return max(found, key=lambda tau: compared(found[0.0], found[tau]).mean)
 
-    at_once = score(0.0)
-    worth = {tau: compared(at_once, score(tau)) for tau in TIME_CONSTANTS_S}
-    best = max(worth, key=lambda tau: worth[tau].mean)
-    worth |= {tau: compared(at_once, score(tau)) for tau in (best * factor for factor in BETWEEN)}
-    best = max(worth, key=lambda tau: worth[tau].mean)
-    return replace(default.odometry_model, time_constant_s=best if worth[best].sure else 0.0)
+    best = try_out((0.0, *TIME_CONSTANTS_S))
+    best = try_out([best * factor for factor in BETWEEN]) if best else 0.0
+    behind = {tau: compared(own, found[best]) for tau, own in found.items() if tau > 0.0}
+    least = min((tau for tau, worth in behind.items() if worth.mean <= worth.std), default=0.0)
+    sure = least > 0.0 and compared(found[0.0], found[least]).sure
+    return replace(default.odometry_model, time_constant_s=least if sure else 0.0)
 
 
 def _fitted(recording: Recording, assumed: Mapping[str, Any] | None, advance: Callable[[int], None]) -> Learnt | None:
