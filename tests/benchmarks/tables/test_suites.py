@@ -174,7 +174,7 @@ def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
         (("--check", "/nowhere/x.json"), "cannot be read"),
         (("--set", "radio.load=0.5"), "radio.load: the worlds of a suite are fixed"),
         (("--set", "estimator.fastslam.lagg=0"), "estimator.fastslam.lagg"),
-        (("--estimator", "ekf-slam", "--set", "estimator.fastslam.lag=0"), "not driven (driven: ekf-slam)"),
+        (("--estimator", "ekf-slam", "--set", "estimator.fastslam.lag=0"), "not run here (run: ekf-slam)"),
         (("--set", "estimator.fastslam.lag=0", "--rows", "x.json"), "leave out --set"),
         (("--set", "estimator.fastslam.lag=0", "--check", "x.json"), "leave out --set"),
     ],
