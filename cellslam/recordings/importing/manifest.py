@@ -85,7 +85,7 @@ class Noise(Table):
 class Commands(Table):
     """How the vehicle follows what it is commanded."""
 
-    time_constant_s: float = Field(ge=0, le=10, description="with which the vehicle follows commands, s; 0: at once")
+    time_constant_s: float = Field(ge=0, le=10, description="with which the vehicle follows commands, s; 0: not known")
 
 
 class DriveTable(FileTable):

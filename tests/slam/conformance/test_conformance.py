@@ -53,7 +53,7 @@ OPTIONS: dict[str, Any] = {
 
 
 class TestBuiltIn(EstimatorConformance):
-    # Oracles are other estimators that are told the truth: what all share is tried with these.
+    # Oracles are other estimators that know the truth: what all share is tried with these.
     @pytest.fixture(
         params=[
             pytest.param(entry.name, marks=[pytest.mark.slow] * entry.oracle)

@@ -55,9 +55,9 @@ def test_the_likeliest_combinations_go_on_however_many_there_are(
 ) -> None:
     rng, setup = np.random.default_rng(5), setup_of(tiny_drive())
     likely = [[(float(m), float(-abs(m))) for m in rng.normal(0.0, 3.0, many)] for _ in range(sites)]
-    begun = begin(setup, core_of(setup, NO_ERRORS), NO_ERRORS, EkfSlamOptions())
+    start = begin(setup, core_of(setup, NO_ERRORS), NO_ERRORS, EkfSlamOptions())
     monkeypatch.setattr(Start, "_likely", lambda _: likely)
-    found = begun.combinations()
+    found = start.combinations()
     assert found.shape == (COMBINATIONS, sites)
     log = -np.abs(found).sum(axis=1)
     assert (np.diff(log) <= 0.0).all() and len(np.unique(found, axis=0)) == COMBINATIONS
