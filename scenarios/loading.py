@@ -1,22 +1,27 @@
-"""Loading of scenarios: a preset by name or a .toml file, with overrides."""
+"""Loading of scenarios: a preset by name or a .toml file, with overrides.
+
+A file may name another one as its `base`, and has what it changes there: tables key by key, items of lists by name.
+"""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from cellslam.scenarios.estimator_options import option_keys, stated
 from cellslam.scenarios.keys import names_file, validate
-from cellslam.scenarios.overrides import apply
+from cellslam.scenarios.overrides import apply, dotted
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.data_files import text_of, toml_of
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.lte.statistical.statistics import with_digest
 from cellslam.sim.own_code import is_loaded
+
+PRESETS = Path(__file__).with_name("presets")
+OF_ITSELF = ("name", "title", "description", "facts")  # what a file says of itself, and not of those it is the base of
 
 
 def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None, code: bool = True) -> Scenario:
@@ -26,8 +31,7 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None, c
     code that it names may be loaded (`from_tables`). Raises InputError with what is wrong and what is allowed: unknown
     scenario or key, value out of range.
     """
-    name, data, source = _read(name_or_path)
-    return from_tables({"name": name, **data}, overrides, source, code)
+    return from_tables(tables_of(name_or_path), overrides, "" if _is_preset(name_or_path) else str(name_or_path), code)
 
 
 def from_tables(
@@ -53,20 +57,40 @@ def from_tables(
 @cache
 def preset_names() -> tuple[str, ...]:
     """Return the names of the presets, sorted."""
-    found = (entry.name for entry in files("cellslam.scenarios.presets").iterdir())
-    return tuple(sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml")))
+    return tuple(sorted(path.stem for path in PRESETS.glob("*.toml")))
 
 
-def _read(name_or_path: str | Path) -> tuple[str, dict[str, Any], str]:
-    """Return name, tables and, for a file, its path for messages."""
+def _is_preset(name_or_path: str | Path) -> bool:
+    return str(name_or_path) in preset_names()
+
+
+def tables_of(name_or_path: str | Path, changed_by: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Return the tables of a preset or a scenario file, with those of its base that it leaves as they are.
+
+    `changed_by`: the files whose base it is. Raises InputError where one cannot be read, or is its own base.
+    """
     text = str(name_or_path)
-    if text in preset_names():
-        preset = files("cellslam.scenarios.presets") / f"{text}.toml"
-        return text, tomllib.loads(preset.read_text("utf-8")), ""
-    path = Path(text)
+    path = PRESETS / f"{text}.toml" if _is_preset(text) else Path(text)
     if not (text.endswith(".toml") or len(path.parts) > 1 or path.is_file()):
         raise InputError(f"{unknown_name('scenario', text, preset_names())}; or give a .toml file")
-    return path.stem, _beside(path.parent, _tables(path)), text
+    tables = {"name": path.stem, **_beside(path.parent, _tables(path))}
+    base = tables.pop("base", None)
+    return tables if base is None else _changed(path, base, tables, changed_by)
+
+
+def _changed(path: Path, base: Any, tables: dict[str, Any], changed_by: tuple[Path, ...]) -> dict[str, Any]:
+    """Return the tables of a file that changes its base by `tables`."""
+    here = path.resolve()
+    if here in changed_by:
+        raise InputError(f"{path}: base = '{base}': the file is its own base")
+    if not isinstance(base, str):
+        raise InputError(f"{path}: base = {base!r}: must be a preset's name, or the path of a file, seen from this one")
+    below = tables_of(base if _is_preset(base) else path.parent / base, (*changed_by, here))
+    own = {key: tables.pop(key) for key in OF_ITSELF if key in tables}
+    try:
+        return own | apply({key: below[key] for key in below if key not in OF_ITSELF}, dict(dotted(tables)))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def _beside(folder: Path, value: Any) -> Any:

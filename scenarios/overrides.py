@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from cellslam.scenarios.keys import label
@@ -50,6 +50,15 @@ def split(key: str) -> list[str]:
         end = next(index for index, part in enumerate(parts) if ":" in part)
         parts = ["estimator", ".".join(parts[1 : end + 1]), *parts[end + 1 :]]
     return parts
+
+
+def dotted(table: Mapping[str, Any], ends: Sequence[str] = (), prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield dotted keys and values of nested tables; a table with one of the keys `ends` is a value."""
+    for name, value in table.items():
+        if isinstance(value, Mapping) and not any(end in value for end in ends):
+            yield from dotted(value, ends, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
 
 
 def apply(data: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from cellslam.scenarios.estimator_options import Ask, Request, called, resolve
 from cellslam.scenarios.external_options import LOAD_LIMIT_S, asking
 from cellslam.scenarios.keys import describe, validate
 from cellslam.scenarios.loading import load, preset_names
-from cellslam.scenarios.overrides import parse, parse_value, split
+from cellslam.scenarios.overrides import dotted, parse, parse_value, split
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.data_files import text_of, toml_of
 from cellslam.sim.errors import InputError
@@ -150,12 +150,12 @@ def from_tables(data: Mapping[str, Any], folder: Path = Path()) -> Sweep:
     flat = dict(data)
     for part in ("set", "grid", "zip"):
         if isinstance(flat.get(part), Mapping):
-            flat[part] = dict(_dotted(flat[part]))
+            flat[part] = dict(dotted(flat[part]))
     if isinstance(flat.get("list"), list):
-        flat["list"] = [dict(_dotted(s)) if isinstance(s, Mapping) else s for s in flat["list"]]
+        flat["list"] = [dict(dotted(s)) if isinstance(s, Mapping) else s for s in flat["list"]]
     latin = flat.get("latin")
     if isinstance(latin, Mapping) and isinstance(latin.get("ranges"), Mapping):
-        flat["latin"] = {**latin, "ranges": dict(_dotted(latin["ranges"], ends=("low", "high")))}
+        flat["latin"] = {**latin, "ranges": dict(dotted(latin["ranges"], ends=("low", "high")))}
     config = validate(SweepFile, flat)
     known = config.scenario in preset_names() or Path(config.scenario).is_absolute()
     scenario = config.scenario if known else str(folder / config.scenario)
@@ -235,15 +235,6 @@ def _axes(config: SweepFile) -> Iterator[Axis]:
         yield tuple(dict(zip(config.zip, row, strict=True)) for row in zip(*config.zip.values(), strict=True))
     if config.latin is not None:
         yield latin_axis(config.latin)
-
-
-def _dotted(table: Mapping[str, Any], ends: Sequence[str] = (), prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield dotted keys and values of nested tables; a table with one of the keys `ends` is a value."""
-    for name, value in table.items():
-        if isinstance(value, Mapping) and not any(end in value for end in ends):
-            yield from _dotted(value, ends, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
 
 
 def _within(span: Range, share: float) -> float | int:

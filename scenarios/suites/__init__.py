@@ -1,6 +1,7 @@
 """Fixed suites: scenarios with every value written out, so that results of different hands can be compared.
 
-A suite never changes: what would change its results is another version, under another name.
+A suite never changes: what would change its results is another version, under another name. What most of its scenarios
+have in common stands in the base of their files.
 """
 
 from __future__ import annotations
@@ -9,12 +10,14 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.resources import as_file, files
+from pathlib import Path
 from typing import Any
+
+import tomli_w
 
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.external_options import asking
-from cellslam.scenarios.loading import load
+from cellslam.scenarios.loading import load, tables_of
 from cellslam.scenarios.overrides import apply, split
 from cellslam.scenarios.scenario import Scenario
 from cellslam.scenarios.sweep_points import Point
@@ -47,7 +50,7 @@ SUITES = {
 }
 # What a name without a version stands for.
 LATEST = {"standard": "standard-4"}
-FOLDER = files("cellslam.scenarios.suites") / "standard"  # of the scenarios, which versions share
+FOLDER = Path(__file__).with_name("standard")  # of the scenarios, which versions share
 
 
 def suite(name: str) -> Suite:
@@ -66,7 +69,8 @@ def superseded_by(one: Suite) -> str | None:
 
 def digest(one: Suite) -> str:
     """Return the SHA-256 of all that a suite is: what it is called, and every value of its scenarios."""
-    texts = {scenario: (FOLDER / f"{scenario}.toml").read_text("utf-8") for scenario in one.scenarios}
+    # Layout and comments of the files do not count, the order of their keys does.
+    texts = {scenario: tomli_w.dumps(tables_of(FOLDER / f"{scenario}.toml")) for scenario in one.scenarios}
     fewer = [dict(one.fewer)] if one.fewer else []
     content = json.dumps([one.name, one.scenarios, one.seed, one.trials, texts, *fewer])
     return hashlib.sha256(content.encode()).hexdigest()
@@ -76,8 +80,7 @@ def scenario_of(one: Suite, name: str) -> Scenario:
     """Return a scenario of a suite. Raises InputError for one that is not in it."""
     if name not in one.scenarios:
         raise unknown_name(f"scenario of {one.name}", name, one.scenarios)
-    with as_file(FOLDER / f"{name}.toml") as path:
-        return load(path)
+    return load(FOLDER / f"{name}.toml")
 
 
 def points_of(

@@ -107,6 +107,36 @@ def test_wrong_files(tmp_path: Path) -> None:
     assert "drive.toml: unknown key 'cty.kind'; did you mean 'city.kind'?" in failure(path)
 
 
+def test_a_file_has_what_it_changes_of_its_base(place: Path, tmp_path: Path) -> None:
+    changed = tmp_path / "changed.toml"
+    changed.write_text('base = "place.toml"\n[radio]\nevm = 0.1\n[sites.A]\nports = 1\n[estimator."a.b:C"]\ngain = 2\n')
+    one, other = load(place), load(changed)
+    assert (other.name, other.title) == ("changed", "")
+    assert (other.city, other.radio.load, other.radio.evm) == (one.city, 0.2, 0.1)
+    assert (other.sites[0].ports, other.sites[0].cells) == (1, one.sites[0].cells)
+    assert other.estimator == {"fastslam": {"particles": 50}, "a.b:C": {"gain": 2}}
+    changed.write_text('base = "tiny"\n')
+    assert load(changed).world == load("tiny").world
+    assert not load(changed).facts
+
+
+@pytest.mark.parametrize(
+    ("base", "words"),
+    [
+        ('"tinny"', "tinny: no such scenario file; presets are"),
+        ("3", "changed.toml: base = 3: must be a preset's name"),
+        ('"../places/changed.toml"', "changed.toml: base = '../places/changed.toml': the file is its own base"),
+        ('"tiny"\nsites.C.ports = 1', "changed.toml: there is no 'sites.C' (known: A, B)"),
+        ('"tiny"\ncity.sed = 1', "changed.toml: unknown key 'city.sed'; did you mean 'city.seed'?"),
+    ],
+)
+def test_a_wrong_base_says_what_is_wrong(tmp_path: Path, base: str, words: str) -> None:
+    path = tmp_path / "places" / "changed.toml"
+    path.parent.mkdir()
+    path.write_text(f"base = {base}\n")
+    assert words in failure(path)
+
+
 def test_a_file_is_looked_for_beside_the_scenario_and_then_here(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,6 +14,7 @@ from cellslam.benchmarks.tables import suite_rows
 from cellslam.benchmarks.tables.suite_tables import suite_markdown
 from cellslam.cli.main import main
 from cellslam.scenarios import load, suites
+from cellslam.scenarios.loading import tables_of
 from cellslam.scenarios.suites import SUITES, Suite, digest, scenario_of, suite, superseded_by
 from cellslam.sim.errors import InputError
 from tests.command_line import Run, refused
@@ -50,7 +51,7 @@ def test_every_value_of_a_suite_is_written_out() -> None:
     """A default that changes later must not change a suite."""
     one = suite("standard-4")
     for name in one.scenarios:
-        written = tomllib.loads((suites.FOLDER / f"{name}.toml").read_text("utf-8"))
+        written = tables_of(suites.FOLDER / f"{name}.toml")
         for table, values in tomllib.loads(scenario_of(one, name).toml()).items():
             assert not isinstance(values, dict) or values.keys() <= written[table].keys(), (name, table)
 
