@@ -10,10 +10,10 @@ import numba
 import numpy as np
 import pytest
 
-from cellslam.scenarios import load
-from cellslam.sim import simulate
+from cellslam.scenarios.loading import load
 from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Links, Measurements, OdometryModel, Recording, Sites, Truth, VirtualTransmitters
+from cellslam.sim.world import simulate
 from cellslam.slam.model.measurement_model import predict
 
 sys.path.append(str(Path(__file__).parents[1]))  # for `tools`; what is installed goes before

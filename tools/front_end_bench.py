@@ -22,19 +22,17 @@ from cellslam.sim.lte.array import (
     PathSet,
     Steering,
     array_at,
-    doppler_phasors,
     miscalibrated,
     switching_times_s,
 )
 from cellslam.sim.lte.downlink import LteWaveform
-from cellslam.sim.lte.error_bounds import joint_std
-from cellslam.sim.lte.signal.channel import frequency_response
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
 from cellslam.sim.lte.signal.receiver import Motion, Receiver, receiver_of
 from cellslam.sim.lte.signal.signal_front_end import GAIN_STD_DB, PHASE_STD_DEG
 from cellslam.sim.nr.nr_waveform import NrWaveform
 from cellslam.sim.waveform import Waveform
+from tools.front_end_reference import doppler_phasors, frequency_response, joint_std
 
 # Carrier, waveform and detection threshold of the receivers under test: 20 MHz of LTE, 100 MHz of NR with as few false
 # paths over five times as many delays.

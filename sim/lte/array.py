@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cellslam.sim.errors import InputError
-from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.lte.steering_kernel import Circle, Series, SteeringModel, steer
 
 Complex = NDArray[np.complex128]
@@ -203,15 +203,3 @@ def switching_times_s(array: CircularArray, order: Literal["column", "ring"] = "
     times = np.empty(array.ports)
     times[slots.reshape(-1)] = GAIN_CONTROL_S + PORT_INTERVAL_S * np.arange(array.ports)
     return times
-
-
-def doppler_phasors(
-    times_s: Floats, velocity_mps: ArrayLike, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, carrier_hz: float
-) -> Complex:
-    """Return exp(j 2 pi nu t) (n, ports) of n directions for a receiver moving with body velocity (3,).
-
-    nu = v . n / wavelength, n pointing to where the wave comes from; the phase is zero at the mean sampling time.
-    """
-    towards = np.atleast_2d(unit_vector(azimuth_rad, elevation_rad))
-    shift_hz = towards @ np.asarray(velocity_mps, np.float64) * carrier_hz / SPEED_OF_LIGHT_MPS
-    return np.asarray(np.exp(2j * np.pi * np.outer(shift_hz, times_s - times_s.mean())), np.complex128)

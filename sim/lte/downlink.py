@@ -1,9 +1,9 @@
-"""What LTE sends: the cell-specific reference signals, OFDM symbols in time, and both as a waveform.
+"""What LTE sends: the cell-specific reference signals, and these as a waveform.
 
 The carrier itself is left out of a symbol: between subcarriers 6 N_RB - 1 and 6 N_RB there is a gap of one.
 
-Source: 3GPP TS 36.211, clauses 6.10.1 (reference signals and their resource elements), 6.12 (OFDM symbols) and 7.2
-(Gold sequence); the extended FastSLAM paper, equation 1.
+Source: 3GPP TS 36.211, clauses 6.10.1 (reference signals and their resource elements), 6.12 (OFDM symbols: what is left
+out) and 7.2 (Gold sequence).
 """
 
 from __future__ import annotations
@@ -84,31 +84,10 @@ def _pilot_bits(seed: int) -> NDArray[np.int8]:
     return bits
 
 
-def colliding_ports(cell_a: int, cell_b: int, ports: int = 2) -> list[tuple[int, int]]:
-    """Return the pairs (port of a, port of b) that share every reference element, frames being aligned: they occupy the
-    same symbols and start on the same subcarrier.
-    """
-
-    def elements(cell: int, port: int) -> list[tuple[int, int]]:
-        return [(s, first_subcarrier(cell, port, slot, s)) for slot in (0, 1) for s in reference_symbols(port)]
-
-    return [(a, b) for a in range(ports) for b in range(ports) if elements(cell_a, a) == elements(cell_b, b)]
-
-
 def subcarrier_frequency_hz(subcarriers: ArrayLike, resource_blocks: int) -> Floats:
     """Return the baseband frequency (n,) in Hz of subcarriers (n,), 0 to 12 N_RB - 1: the carrier is left out."""
     k, half = np.asarray(subcarriers, np.int64), 6 * resource_blocks
     return np.asarray(np.where(k < half, k - half, k - half + 1) * SUBCARRIER_SPACING_HZ, np.float64)
-
-
-def baseband(values: ArrayLike, subcarriers: ArrayLike, time_s: ArrayLike, resource_blocks: int) -> Complex:
-    """Return the baseband signal (T,) of one OFDM symbol at `time_s` (T,), from -T_CP to T_s.
-
-    `values` (N,) complex are what the `subcarriers` (N,) carry; the signal has their unit, times are in s.
-    """
-    frequency = subcarrier_frequency_hz(subcarriers, resource_blocks)
-    phase = 2j * np.pi * np.outer(np.asarray(time_s, np.float64), frequency)
-    return np.asarray(np.exp(phase) @ np.asarray(values, np.complex128), np.complex128)
 
 
 @dataclass(frozen=True)

@@ -1,23 +1,16 @@
-"""Cramér-Rao bounds: of a single path in closed form, of any set of paths together.
+"""Cramér-Rao bound of a single path in closed form.
 
-Single path, for the stacked uniform circular array and any tones: Gamma = N rho is the integrated SNR over N = 128
-ports x tones (LTE: 2 a resource block); rho is the mean SNR per sample. With unknown complex weights of both
-polarisations, delay, azimuth and elevation decouple, and each deviation is scale / sqrt(2 Gamma). The scale is also the
-width of the path's ambiguity function in that component.
+For the stacked uniform circular array and any tones: Gamma = N rho is the integrated SNR over N = 128 ports x tones
+(LTE: 2 a resource block); rho is the mean SNR per sample. With unknown complex weights of both polarisations, delay,
+azimuth and elevation decouple, and each deviation is scale / sqrt(2 Gamma). The scale is also the width of the path's
+ambiguity function in that component.
 
-Set of paths, seven real parameters each (distance, azimuth, elevation, Re and Im of the H weight and of the V weight):
-information (2 / sigma^2) Re(J^H J). Every column of J is an array vector times a delay vector (Kronecker), so J^H J is
-the product, element by element, of two small Gram matrices.
-
-Source: Kay, "Fundamentals of statistical signal processing: estimation theory", 1993, chapter 15 (complex Gaussian
-data); products of small matrices: Richter, "Estimation of radio channel parameters: models and algorithms", 2005;
-closed form: own derivation, docs/explanation/front-end.md, "Bound".
+Source: own derivation, docs/explanation/front-end.md, "Bound".
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,12 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.statistical.detector_layout import AZIMUTH_EXPONENT, ELEVATION_GROWTH
-from cellslam.sim.waveform.waveform import Floats, Waveform
+from cellslam.sim.waveform.waveform import Waveform
 
-if TYPE_CHECKING:
-    from cellslam.sim.lte.array import AntennaArray, PathSet
-
-PARAMETERS = 7  # of a path in the joint bound
 ARRAY_PORTS = 128
 # sd_az = 0.0685 deg and sd_el = 0.0704 deg at rho = 0 dB, elevation 0, Gamma = 25 600: 16 x 4 patches, 0.147
 # m, 57.7 mm.
@@ -69,26 +58,3 @@ def single_path_std(
     azimuth = scales.azimuth_rad / np.cos(el) ** AZIMUTH_EXPONENT
     elevation = scales.elevation_rad * (1.0 + ELEVATION_GROWTH * el**2)
     return np.stack([scales.distance_m / root, azimuth / root, elevation / root], axis=-1)
-
-
-def fisher_information(array: AntennaArray, tones_hz: Floats, paths: PathSet, noise_variance: float) -> Floats:
-    """Return (2 / sigma^2) Re(J^H J), (7 n, 7 n), a path's seven parameters in a row: m, rad, rad, weights."""
-    steering = array.steer(paths.azimuth_rad, paths.elevation_rad)
-    signal, by_azimuth, by_elevation = (np.einsum("npq,nq->np", s, paths.weights) for s in steering)
-    h, v = steering.value[:, :, 0], steering.value[:, :, 1]
-    on_array = np.stack([signal, by_azimuth, by_elevation, h, 1j * h, v, 1j * v], axis=1)
-    delay = np.exp(-2j * np.pi * np.outer(paths.distance_m, tones_hz) / SPEED_OF_LIGHT_MPS)
-    slope = -2j * np.pi * tones_hz / SPEED_OF_LIGHT_MPS * delay
-    on_tones = np.stack([slope] + [delay] * (PARAMETERS - 1), axis=1)
-    left, right = (factor.reshape(PARAMETERS * len(paths), -1).T for factor in (on_array, on_tones))
-    gram = (left.conj().T @ left) * (right.conj().T @ right)
-    return np.asarray(2.0 / noise_variance * gram.real, np.float64)
-
-
-def joint_std(array: AntennaArray, tones_hz: Floats, paths: PathSet, noise_variance: float) -> Floats:
-    """Return the joint bound's deviations (n, 3) of distance, azimuth and elevation, in m, rad, rad."""
-    information = fisher_information(array, tones_hz, paths, noise_variance)
-    scale = 1.0 / np.sqrt(np.diag(information))
-    # Scaled to a unit diagonal: metres and radians differ by orders of magnitude.
-    variance = np.diag(np.linalg.inv(information * np.outer(scale, scale))) * scale**2
-    return np.asarray(np.sqrt(variance.reshape(len(paths), PARAMETERS)[:, :3]), np.float64)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cellslam.sim.errors import InputError, one_line
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
 from cellslam.sim.own_code import OWN, is_allowed, load_own
 
 if TYPE_CHECKING:
@@ -31,6 +32,8 @@ LTE_THRESHOLD = 17.4
 TECHNOLOGY, STATISTICS = "radio.technology", "radio.statistics_file"
 NAMING = (TECHNOLOGY, "radio.antenna_pattern", "radio.path_loss", STATISTICS)  # keys that may name code or a file
 SECTOR, FREE_SPACE = "3gpp", "free-space"  # built-in antenna pattern and path loss
+FRONT_TO_BACK_DB, SIDELOBE_DB = 25.0, 20.0  # of the sector's antenna
+AZIMUTH_WIDTH_RAD, ELEVATION_WIDTH_RAD = np.radians(70.0), np.radians(10.0)  # the same, at 3 dB
 NR_BANDS = {48: Band("20 MHz", 17.4), 132: Band("50 MHz", 18.4), 272: Band("100 MHz", 19.2)}  # by blocks of 30 kHz
 
 
@@ -246,11 +249,9 @@ class RadioConfig(BaseModel):
         Azimuth from boresight; elevation of the departing path, up positive; down-tilt: all in rad. Raises InputError
         where a pattern of one's own returns something else.
         """
-        from cellslam.sim.rays.antenna import sector_gain_db
-
         given = azimuth_rad, elevation_rad, tilt_rad
         if self.antenna_pattern == SECTOR:
-            return sector_gain_db(*given, peak_dbi=0.0)
+            return _sector_gain_db(*given)
         return _asked("radio.antenna_pattern", self.antenna_pattern, np.broadcast(*given).shape, *given)
 
     def path_gain_factor(self, length_m: Floats, order: NDArray[np.int64]) -> Floats | None:
@@ -259,8 +260,6 @@ class RadioConfig(BaseModel):
         `length_m` (P,), `order` (P,): number of reflections and diffractions. Raises InputError where a path loss of
         one's own returns something else than numbers.
         """
-        from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-
         if self.path_loss == FREE_SPACE:
             return None
         loss_db = _asked("radio.path_loss", self.path_loss, length_m.shape, length_m, order, self.carrier_hz)
@@ -284,6 +283,14 @@ class RadioConfig(BaseModel):
         except Exception as error:
             raise InputError(f"radio.technology '{self.technology}' cannot be made: {one_line(error)}") from error
         return checked(own, self.window_max_m - self.window_min_m)
+
+
+def _sector_gain_db(azimuth_rad: ArrayLike, elevation_rad: ArrayLike, tilt_rad: ArrayLike) -> Floats:
+    """Return the gain (...,) in dB, as `RadioConfig.sector_gain_db` does. Source: 3GPP TR 36.814, Table A.2.1.1-2."""
+    below = -np.asarray(elevation_rad, np.float64) - np.asarray(tilt_rad, np.float64)
+    horizontal = np.minimum(12.0 * (wrap_angle(azimuth_rad) / AZIMUTH_WIDTH_RAD) ** 2, FRONT_TO_BACK_DB)
+    vertical = np.minimum(12.0 * (below / ELEVATION_WIDTH_RAD) ** 2, SIDELOBE_DB)
+    return np.asarray(-np.minimum(horizontal + vertical, FRONT_TO_BACK_DB), np.float64)
 
 
 def _asked(key: str, name: str, shape: tuple[int, ...], *given: Any) -> Floats:

@@ -18,7 +18,7 @@ import pytest
 
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.cli.main import build_parser
-from cellslam.scenarios import load
+from cellslam.scenarios.loading import load
 from cellslam.sim.city import build_city
 from cellslam.sim.randomness import Stream, stream
 from tests.command_line import PLUGIN, Run, refused

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from cellslam.cli.output import note_long
-from cellslam.scenarios import load
+from cellslam.scenarios.loading import load
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellslam.scenarios import load
 from cellslam.scenarios.estimator_options import data_sheet, stated
-from cellslam.scenarios.loading import from_tables
+from cellslam.scenarios.loading import from_tables, load
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.statistical.statistics import statistics
 from cellslam.slam.measurements.measurement_options import MeasurementOptions

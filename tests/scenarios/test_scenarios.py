@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from cellslam.scenarios import load, overrides
+from cellslam.scenarios import overrides
 from cellslam.scenarios.estimator_options import resolve, with_options
+from cellslam.scenarios.loading import load
 from cellslam.sim.errors import InputError
 
 PLACE = """

@@ -13,7 +13,8 @@ from cellslam.benchmarks.sweeps.tasks import with_contents
 from cellslam.cli.commands.init import _read_geo_file as places
 from cellslam.recordings.importing.importing import import_folder
 from cellslam.recordings.importing.matlab import variables
-from cellslam.scenarios import load, sweep_points
+from cellslam.scenarios import sweep_points
+from cellslam.scenarios.loading import load
 from cellslam.sim.city import MeshCityConfig, build_city
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays.exchange import read_sionna

@@ -45,6 +45,16 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delitem(sys.modules, name, raising=False)
 
 
+def test_sector_antenna() -> None:
+    gain_db = RadioConfig().sector_gain_db
+    assert gain_db(0.0, -np.radians(8.0), np.radians(8.0)) == pytest.approx(0.0)
+    # 3 dB down at half the width, either way; never more than 25 dB below the peak, behind or anywhere.
+    assert gain_db(np.radians(35.0), -np.radians(8.0), np.radians(8.0)) == pytest.approx(-3.0)
+    assert gain_db(0.0, -np.radians(13.0), np.radians(8.0)) == pytest.approx(-3.0)
+    assert gain_db(np.pi, 1.0, 0.1) == pytest.approx(-25.0)
+    assert gain_db(np.radians(190.0), 0.0, 0.0) == gain_db(np.radians(-170.0), 0.0, 0.0)
+
+
 def test_patterns_have_their_greatest_gain_along_the_tilted_boresight() -> None:
     for name in ("3gpp", "my_world:cosine_pattern", "my_world:data_sheet"):
         radio, tilt = RadioConfig(antenna_pattern=name), np.radians(8.0)

@@ -10,8 +10,8 @@ import h5py
 import numpy as np
 import pytest
 
-from cellslam.sim import WorldConfig, prepare, simulate
 from cellslam.sim.recording import Recording, VirtualTransmitters
+from cellslam.sim.world import WorldConfig, prepare, simulate
 from cellslam.sim.world.drive_to_recording import visible_intervals, with_sites
 from cellslam.slam.model.measurement_model import predict
 from tests.sim.recording.test_hdf5 import assert_identical

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellslam.scenarios import load
-from cellslam.sim import simulate
+from cellslam.scenarios.loading import load
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, integrate_pose
 from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Sites
+from cellslam.sim.world import simulate
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions

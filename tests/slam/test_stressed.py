@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cellslam.scenarios import load
-from cellslam.sim import simulate
+from cellslam.scenarios.loading import load
 from cellslam.sim.recording import Recording
+from cellslam.sim.world import simulate
 from cellslam.slam.api import snapshots_of
 from cellslam.slam.joint import mixture
 from cellslam.slam.joint.ekf_slam import HELD, held_noise

@@ -13,11 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation, rotation, unit_vector
-from cellslam.sim.lte.array import AntennaArray, Complex, PathSet, doppler_phasors
+from cellslam.sim.lte.array import Complex, PathSet
 from cellslam.sim.lte.statistical.detector_layout import PathColumns
+from cellslam.sim.rays.gain import polarisation_basis
 from cellslam.sim.recording import Floats
 
 SCATTERERS = 64  # of a cluster, at the bandwidth of LTE
@@ -38,34 +38,11 @@ def arriving_paths(
     towards = vt_m - pose[:3]
     distance = np.linalg.norm(towards, axis=1)
     body = towards @ rotation(*pose[3:])
-    (az_world, el_world), (az, el) = azimuth_elevation(towards), azimuth_elevation(body)
-    turn = np.einsum("npi,ij,nqj->nqp", polarisation(az_world, el_world), rotation(*pose[3:]), polarisation(az, el))
+    world_basis, body_basis = (np.stack(polarisation_basis(v / distance[:, None]), axis=1) for v in (towards, body))
+    turn = np.einsum("npi,ij,nqj->nqp", world_basis, rotation(*pose[3:]), body_basis)
     phase = np.exp(-2j * np.pi * distance * carrier_hz / SPEED_OF_LIGHT_MPS)
     weights = (amplitude * phase)[:, None] * np.einsum("nqp,npr,r->nq", turn, gain, slant)
-    return PathSet(distance, az, el, weights)
-
-
-def polarisation(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Floats:
-    """Return the unit vectors (n, 2, 3) of H (growing azimuth) and V (growing elevation) of n directions."""
-    az, el = np.asarray(azimuth_rad, np.float64), np.asarray(elevation_rad, np.float64)
-    h = unit_vector(az + 0.5 * np.pi, np.zeros_like(az))
-    v = unit_vector(az, el + 0.5 * np.pi)
-    return np.stack([h, v], axis=-2)
-
-
-def frequency_response(
-    array: AntennaArray, tones_hz: Floats, times_s: Floats, velocity_mps: ArrayLike, paths: PathSet, carrier_hz: float
-) -> Complex:
-    """Return the channel (ports, tones) of one transmit port (equation 2), in the unit of the paths' weights.
-
-    `tones_hz` (tones,) in Hz; `times_s` (ports,) from `switching_times_s`: Doppler over the switched aperture is
-    included; `velocity_mps` (3,) in m/s of the array in the body frame.
-    """
-    steering = array.steer(paths.azimuth_rad, paths.elevation_rad).value
-    moving = doppler_phasors(times_s, velocity_mps, paths.azimuth_rad, paths.elevation_rad, carrier_hz)
-    on_array = np.einsum("npq,nq->np", steering, paths.weights) * moving
-    delay = np.exp(-2j * np.pi * np.outer(paths.distance_m, tones_hz) / SPEED_OF_LIGHT_MPS)
-    return np.asarray(on_array.T @ delay, np.complex128)
+    return PathSet(distance, *azimuth_elevation(body), weights)
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from cellslam.benchmarks.bound.cramer_rao import bound
-from cellslam.scenarios import load
-from cellslam.sim import simulate
+from cellslam.scenarios.loading import load
 from cellslam.sim.recording import ClockSteps, Recording
+from cellslam.sim.world import simulate
 
 
 def walking(recording: Recording, walk: float, rate_walk: float) -> Recording:

@@ -13,7 +13,7 @@ from cellslam.benchmarks.figures.trial import trial_map
 from cellslam.benchmarks.report.playback import content
 from cellslam.benchmarks.report.scene import scene_of
 from cellslam.benchmarks.scores.trial_result import TrialResult
-from cellslam.scenarios import load
+from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
 from cellslam.sim.traffic import traffic_of

@@ -24,7 +24,7 @@ from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE
 from cellslam.benchmarks.sweeps.tasks import Job, Task
 from cellslam.cli.main import main
-from cellslam.scenarios import load as load_scenario
+from cellslam.scenarios.loading import load as load_scenario
 from cellslam.sim import world
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import silent

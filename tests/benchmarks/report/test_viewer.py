@@ -17,7 +17,7 @@ from cellslam.benchmarks.report.playback import content
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.cli.main import main
-from cellslam.scenarios import load
+from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.rays import trace
 from cellslam.sim.rays.exchange import Traced

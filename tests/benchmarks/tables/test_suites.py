@@ -13,8 +13,8 @@ from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.tables import suite_rows
 from cellslam.benchmarks.tables.suite_tables import suite_markdown
 from cellslam.cli.main import main
-from cellslam.scenarios import load, suites
-from cellslam.scenarios.loading import tables_of
+from cellslam.scenarios import suites
+from cellslam.scenarios.loading import load, tables_of
 from cellslam.scenarios.suites import SUITES, Suite, digest, scenario_of, suite, superseded_by
 from cellslam.sim.errors import InputError
 from tests.command_line import Run, refused

@@ -16,8 +16,8 @@ from cellslam.benchmarks.scores import metrics
 from cellslam.benchmarks.scores.metrics import COST_KEYS, ROW_KEYS
 from cellslam.benchmarks.trials import estimation, trials
 from cellslam.benchmarks.trials.trials import Trial, score_recording
-from cellslam.scenarios import load
 from cellslam.scenarios.estimator_options import Request
+from cellslam.scenarios.loading import load
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate

@@ -14,11 +14,11 @@ from cellslam.sim.lte.array import (
     AntennaArray,
     CircularArray,
     array_at,
-    doppler_phasors,
     eadf_from_grid,
     miscalibrated,
     switching_times_s,
 )
+from tools.front_end_reference import doppler_phasors
 
 TINY = CircularArray(columns=5, rings=2, radius_m=0.06)
 SMALL_GRID = np.radians(np.arange(0.0, 360.0, 6.0)), np.radians(np.arange(-90.0, 91.0, 6.0))

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from cellslam.scenarios import load
-from cellslam.sim import simulate
+from cellslam.scenarios.loading import load
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.lte.faults import draw_clock_errors, walk_densities
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.recording import Recording
+from cellslam.sim.world import simulate
 
 DT = 0.1
 

@@ -9,12 +9,13 @@ from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.array import CircularArray, PathSet
 from cellslam.sim.lte.downlink import LteWaveform
-from cellslam.sim.lte.error_bounds import bound_scales, fisher_information, joint_std, single_path_std
+from cellslam.sim.lte.error_bounds import bound_scales, single_path_std
 from cellslam.sim.lte.statistical.detection_kernel import captured
 from cellslam.sim.lte.statistical.statistical_front_end import model_of
 from cellslam.sim.lte.statistical.statistics import statistics
 from cellslam.sim.nr.nr_waveform import NrWaveform
 from cellslam.sim.waveform import Waveform
+from tools.front_end_reference import fisher_information, joint_std
 
 TINY = CircularArray(columns=5, rings=2, radius_m=0.06)
 

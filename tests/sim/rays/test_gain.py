@@ -7,7 +7,6 @@ from cellslam.sim.city.city import Material
 from cellslam.sim.city.materials import itu_material
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays import trace
-from cellslam.sim.rays.antenna import sector_gain_db
 from cellslam.sim.rays.gain import reflection, relative_permittivity, roughness_factor
 
 CARRIER = 2.66e9
@@ -88,12 +87,3 @@ def test_a_tilted_conductor_rotates_polarisation_but_keeps_power(scenes):
     gain = paths.gain[1] * 4 * np.pi * paths.length_m[1] / WAVELENGTH
     np.testing.assert_allclose(gain.conj().T @ gain, np.eye(2), atol=1e-5)
     assert abs(gain[0, 1]) > 0.05
-
-
-def test_sector_antenna():
-    assert sector_gain_db(0.0, -np.radians(8.0), np.radians(8.0)) == pytest.approx(15.0)
-    # 3 dB down at half the width, either way; never more than 25 dB below the peak, behind or anywhere.
-    assert sector_gain_db(np.radians(35.0), -np.radians(8.0), np.radians(8.0)) == pytest.approx(12.0)
-    assert sector_gain_db(0.0, -np.radians(13.0), np.radians(8.0)) == pytest.approx(12.0)
-    assert sector_gain_db(np.pi, 1.0, 0.1) == pytest.approx(-10.0)
-    assert sector_gain_db(np.radians(190.0), 0.0, 0.0) == sector_gain_db(np.radians(-170.0), 0.0, 0.0)

@@ -12,7 +12,7 @@ from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from shapely import LineString, intersects, points, polygons
 
-from cellslam.scenarios import load
+from cellslam.scenarios.loading import load
 from cellslam.sim.errors import InputError
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.traffic import Traffic, TrafficConfig

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellslam.scenarios import load
+from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording, Vehicles

@@ -10,9 +10,10 @@ from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation, rotation,
 from cellslam.sim.lte.array import CircularArray, switching_times_s
 from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.signal import symbol
-from cellslam.sim.lte.signal.channel import SCATTERERS, Surroundings, arriving_paths, polarisation
+from cellslam.sim.lte.signal.channel import SCATTERERS, Surroundings, arriving_paths
 from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.nr.nr_waveform import NrWaveform
+from cellslam.sim.rays.gain import polarisation_basis
 
 ARRAY = CircularArray(columns=4, rings=2)
 TIMES = switching_times_s(ARRAY)
@@ -29,14 +30,20 @@ def test_arriving_field_is_the_same_vector_in_both_frames() -> None:
     paths = arriving_paths(pose, vt, gain, slant, np.full(5, 2.0), CARRIER_HZ)
     towards = vt - pose[:3]
     phase = np.exp(-2j * np.pi * np.linalg.norm(towards, axis=1) * CARRIER_HZ / SPEED_OF_LIGHT_MPS)
-    world = 2.0 * phase[:, None] * np.einsum("npi,np->ni", polarisation(*azimuth_elevation(towards)), gain @ slant)
-    body = np.einsum("npi,np->ni", polarisation(paths.azimuth_rad, paths.elevation_rad), paths.weights)
+    world = (
+        2.0
+        * phase[:, None]
+        * np.einsum("pni,np->ni", polarisation_basis(unit_vector(*azimuth_elevation(towards))), gain @ slant)
+    )
+    body = np.einsum(
+        "pni,np->ni", polarisation_basis(unit_vector(paths.azimuth_rad, paths.elevation_rad)), paths.weights
+    )
     np.testing.assert_allclose(body @ rotation(*pose[3:]).T, world, atol=1e-9)
 
 
 @pytest.mark.parametrize("azimuth", [-2.0, 0.0, 1.0])
 def test_polarisation_is_a_right_handed_frame(azimuth: float) -> None:
-    h, v = polarisation(azimuth, 0.4)
+    h, v = polarisation_basis(unit_vector(azimuth, 0.4))
     np.testing.assert_allclose(np.cross(h, v), unit_vector(azimuth, 0.4), atol=1e-12)
 
 

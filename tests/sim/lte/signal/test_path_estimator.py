@@ -13,10 +13,8 @@ from threadpoolctl import threadpool_limits
 from cellslam.sim.compiling import njit
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.lte.array import CircularArray, PathSet, doppler_phasors, miscalibrated, switching_times_s
+from cellslam.sim.lte.array import CircularArray, PathSet, miscalibrated, switching_times_s
 from cellslam.sim.lte.downlink import LteWaveform
-from cellslam.sim.lte.error_bounds import fisher_information, joint_std
-from cellslam.sim.lte.signal.channel import frequency_response
 from cellslam.sim.lte.signal.path_estimator import fit_kernel, search_kernel
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
@@ -24,6 +22,7 @@ from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import Receiver, receiver_of
 from cellslam.sim.nr.nr_waveform import NrWaveform
 from cellslam.sim.waveform.waveform import Waveform
+from tools.front_end_reference import doppler_phasors, fisher_information, frequency_response, joint_std
 
 evaluate, correlate, standing_out, local_level, level_around = (
     njit(part, cache=True)
