@@ -64,7 +64,7 @@ def resolve(
     (`external_options.asking`). Raises InputError for an unknown estimator or option, or a value out of range.
     """
     requests = tuple(_request(tables, name, ask) for name in registry.expanded(names))
-    asked = {text for request in requests for text in (request.name, request.target)}
+    asked = called(requests)
     _check_names(requests)
     known = {*registry.names(), *asked}
     for name in tables:
@@ -76,11 +76,9 @@ def resolve(
     return requests
 
 
-def called(names: Iterable[str], ask: Ask) -> set[str]:
+def called(requests: Iterable[Request]) -> set[str]:
     """Return all that estimators may be called in keys: as they were asked for, and what their classes call
-    themselves. Raises InputError.
-    """
-    requests = [_request({}, name, ask) for name in names]
+    themselves."""
     return {text for request in requests for text in (request.name, request.target)}
 
 

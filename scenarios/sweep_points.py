@@ -189,7 +189,7 @@ def points(sweep: Sweep, estimators: Sequence[str], limit_s: float = LOAD_LIMIT_
 
 
 def _check_keys(sweep: Sweep, estimators: Sequence[str], ask: Ask) -> None:
-    names, seen = called(estimators, ask), set[str]()
+    names, seen = called(resolve({}, estimators, ask=ask)), set[str]()
     for axis in sweep.axes:
         keys = {key for setting in axis for key in setting}
         for key in sorted(keys):

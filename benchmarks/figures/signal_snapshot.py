@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.sim.errors import InputError
-from cellslam.sim.lte.signal.drive_in_blocks import snapshot_paths, snapshot_rng
+from cellslam.sim.lte.signal.drive_in_blocks import snapshot_rng
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import AZIMUTHS, ELEVATIONS
 from cellslam.sim.lte.statistical import detector_layout as k
@@ -31,9 +31,7 @@ def draw_snapshot(world: World, number: int, link: int | None, out: Path) -> lis
     if link is not None and not 0 <= link < links:
         raise InputError(f"--link {link}: the scenario has links 0 to {links - 1}")
     pose, velocity = world.drive.poses[number], world.drive.velocity[number, :3]
-    columns, _ = snapshot_paths(
-        path_columns(world.free_paths(pose[None], np.array([number])), 1, len(world.sites_m)), 0, len(world.sites_m)
-    )
+    columns = path_columns(world.free_paths(pose[None], np.array([number])), 1, len(world.sites_m))
     noise = world.streams().noise
     table = signals.measure(columns, pose, velocity, velocity, number, snapshot_rng(noise, number))
     slots = signals.slots(number)

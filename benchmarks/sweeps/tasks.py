@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cellslam.sim.recording import Recording
 
 KEY_LENGTH = 32
-KNOWN, CHANGED = "known_world", "overrides"  # keys of a world that is one of others, and of what is changed in it
+KNOWN = "known_world"  # key of a world that is one of others
 Wanted = dict[str, dict[tuple[str, str, str], bool]]  # by world: name, target and options of an estimator; an oracle?
 
 
@@ -145,8 +145,7 @@ def plan_known(world: KnownWorld, trials: int, seed: int, trajectories: bool = T
 
 def asked_by(world: KnownWorld, entry: Entry) -> tuple[str, str, str]:
     """Return what an entry of a known world asks for: the world as JSON, the estimator, its options as JSON."""
-    changed = {CHANGED: dict(entry.overrides)} if entry.overrides else {}
-    text = canonical({"name": world.name, KNOWN: world.name, **changed})
+    text = canonical({"name": world.name, KNOWN: world.name})
     return text, entry.estimator, options_json(loaded(entry.estimator, {entry.estimator: entry.options}))
 
 
@@ -253,8 +252,7 @@ def recording_of(task: Task) -> Recording:
     from cellslam.scenarios.simulation import simulate
 
     if is_known(task.world):
-        tables = json.loads(task.world)
-        return known_world(tables[KNOWN]).simulate(task.seed, task.trial, **tables.get(CHANGED, {}))
+        return known_world(json.loads(task.world)[KNOWN]).simulate(task.seed, task.trial)
     return simulate(scenario_of(task.world), task.seed, task.trial)
 
 

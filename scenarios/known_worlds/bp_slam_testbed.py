@@ -14,6 +14,8 @@ from functools import cache
 import numpy as np
 
 from cellslam.scenarios.known_worlds.known_world import (
+    LEVEL_DEG,
+    LEVEL_DENSITY,
     WHITE,
     Entry,
     Figure,
@@ -87,14 +89,11 @@ def _ranges(poses: Floats, seed: int, trial: int) -> tuple[Measurements, Ints]:
     return shuffled(1 + np.append(step, at), np.append(SITE[vt], link), all_vt, both, rng)
 
 
-# In a plane an elevation of zero counts as measured: densities have its factor. That of an azimuth that is missing is
-# what `readings.CLUTTER_WIDTH` takes off.
-_LEVEL_DEG, _AZIMUTH_WIDTH = 0.3, 0.3
-_LEVEL = 1.0 / (math.sqrt(2.0 * math.pi) * math.radians(_LEVEL_DEG))
+_AZIMUTH_WIDTH = 0.3  # the factor of an azimuth that is missing: what `readings.CLUTTER_WIDTH` takes off
 _OPTIONS = {
-    **WHITE, "noise_floor_m": ASSUMED_STD_M, "noise_floor_elevation_deg": _LEVEL_DEG,
+    **WHITE, "noise_floor_m": ASSUMED_STD_M, "noise_floor_elevation_deg": LEVEL_DEG,
     "detection_probability": DETECTION, "visible_s": 1e3, "hidden_s": 1e5,
-    "clutter_density": CLUTTER / REACH_M / _AZIMUTH_WIDTH * _LEVEL,
+    "clutter_density": CLUTTER / REACH_M / _AZIMUTH_WIDTH * LEVEL_DENSITY,
 }  # fmt: skip
 WORLD = KnownWorld(
     name="bp-slam-testbed",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,9 @@ WHITE = NOTHING_PERSISTS | {
     "noise_unit_snr_m": 0.0, "noise_unit_snr_azimuth_deg": 0.0, "noise_unit_snr_elevation_deg": 0.0,
     "misfit_scale_s": 0.0, "pitch_deg": 0.0, "roll_deg": 0.0,
 }  # fmt: skip
+# In a plane an elevation of zero counts as measured, with this deviation: densities have its factor.
+LEVEL_DEG = 0.3
+LEVEL_DENSITY = 1.0 / (math.sqrt(2.0 * math.pi) * math.radians(LEVEL_DEG))
 
 
 @dataclass(frozen=True)
@@ -34,16 +38,12 @@ class Figure:
 
 @dataclass(frozen=True)
 class Entry:
-    """A line of a table: an estimator with options, and the published value of each figure by name.
-
-    `overrides`: what is changed in the world, by dotted key, where it is a preset.
-    """
+    """A line of a table: an estimator with options, and the published value of each figure by name."""
 
     name: str
     estimator: str
     options: Mapping[str, Any]
     published: Mapping[str, float] = field(default_factory=dict)
-    overrides: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class KnownWorld:
     name: str
     title: str
     source: str
-    simulate: Callable[..., Recording]
+    simulate: Callable[[int, int], Recording]
     figures: tuple[Figure, ...]
     entries: tuple[Entry, ...]
     trials: int

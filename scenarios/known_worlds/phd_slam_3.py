@@ -15,6 +15,8 @@ from importlib.resources import files
 import numpy as np
 
 from cellslam.scenarios.known_worlds.known_world import (
+    LEVEL_DEG,
+    LEVEL_DENSITY,
     WHITE,
     Entry,
     Figure,
@@ -120,13 +122,10 @@ def _scans(poses: Floats, seed: int, trial: int) -> tuple[Measurements, Ints]:
     return shuffled(snapshot, link, all_vt, values, stream(seed, trial, Stream.RECEIVER))
 
 
-# In a plane an elevation of zero counts as measured: densities have its factor.
-_LEVEL_DEG = 0.3
-_LEVEL = 1.0 / (math.sqrt(2.0 * math.pi) * math.radians(_LEVEL_DEG))
 _OPTIONS = {
-    **WHITE, "noise_floor_m": float(STD[0]), "noise_floor_azimuth_deg": 0.3, "noise_floor_elevation_deg": _LEVEL_DEG,
+    **WHITE, "noise_floor_m": float(STD[0]), "noise_floor_azimuth_deg": 0.3, "noise_floor_elevation_deg": LEVEL_DEG,
     "detection_probability": DETECTION, "visible_s": 1e4, "hidden_s": 1e5, "effective_share": 0.2, "confirm_hits": 3,
-    "clutter_density": DETECTION * CLUTTER / (2.0 * REACH_M * SPAN_RAD) * _LEVEL,
+    "clutter_density": DETECTION * CLUTTER / (2.0 * REACH_M * SPAN_RAD) * LEVEL_DENSITY,
 }  # fmt: skip
 _RESULTS = {1: (3.45, 0.42, 46.84), 10: (2.66, 0.34, 38.27), 100: (2.18, 0.29, 32.12)}
 _FIGURES = (

@@ -15,7 +15,7 @@ from typing import Any
 
 import tomli_w
 
-from cellslam.scenarios.estimator_options import resolve
+from cellslam.scenarios.estimator_options import called, resolve
 from cellslam.scenarios.external_options import asking
 from cellslam.scenarios.loading import load, tables_of
 from cellslam.scenarios.overrides import apply, split
@@ -101,7 +101,7 @@ def points_of(
             scenario = scenario_of(one, name)
             tables = apply({"estimator": scenario.estimator}, changed)["estimator"]
             points.append(Point({}, scenario, resolve(tables, estimators, changed, ask)))
-    driven = {text for point in points for request in point.requests for text in (request.name, request.target)}
+    driven = called(request for point in points for request in point.requests)
     for key in changed:
         if split(key)[1] not in driven:
             raise InputError(f"{key}: that estimator is not run here (run: {', '.join(sorted(driven))})")

@@ -9,6 +9,7 @@ import shapely
 from shapely import Polygon
 
 from cellslam.sim.city.city import Floats
+from cellslam.sim.city.facets import connected
 
 CLEAR_M = 3.0  # between a drawn way and the next wall, at the least
 AROUND_M = 30.0  # from the outermost walls to a fence, along which ways lead around the city
@@ -39,11 +40,10 @@ def ways_between(footprints: Sequence[Polygon]) -> list[Floats]:
 
 def largest_network(lines: Sequence[Floats]) -> list[Floats]:
     """Return the longest connected part of lines (n, 2) that share their ends."""
-    import networkx as nx
-
-    graph = nx.MultiGraph()
-    for index, line in enumerate(lines):
-        graph.add_edge(tuple(line[0]), tuple(line[-1]), index=index)
-    groups = [[k for *_, k in graph.subgraph(nodes).edges(data="index")] for nodes in nx.connected_components(graph)]
-    lengths = [sum(float(np.hypot(*np.diff(lines[k], axis=0).T).sum()) for k in group) for group in groups]
-    return [lines[k] for k in sorted(groups[int(np.argmax(lengths))])] if groups else []
+    if not lines:
+        return []
+    ends, end = np.unique([line[k] for line in lines for k in (0, -1)], axis=0, return_inverse=True)
+    pairs = end.reshape(-1, 2)
+    network = connected(pairs, len(ends))[pairs[:, 0]]
+    length = np.bincount(network, [np.hypot(*np.diff(line, axis=0).T).sum() for line in lines])
+    return [line for line, own in zip(lines, network, strict=True) if own == np.argmax(length)]

@@ -46,8 +46,8 @@ def cells_of(sites: Sequence[Any]) -> Cells:
 
 def links_of(cells: Cells) -> Links:
     """Return the recording's link table: every port of every cell, in the order of the cells."""
-    cell, port = _cell_and_port(cells)
-    return Links(site=cells.site[cell], cell_id=cells.cell_id[cell], port=port)
+    table = link_table(cells)
+    return Links(site=table.site, cell_id=cells.cell_id[table.cell], port=table.port)
 
 
 def slant(port: NDArray[np.int64]) -> Floats:
@@ -58,7 +58,8 @@ def slant(port: NDArray[np.int64]) -> Floats:
 
 def link_table(cells: Cells) -> LinkTable:
     """Return the arrays that the compiled detector reads."""
-    cell, port = _cell_and_port(cells)
+    cell = np.repeat(np.arange(len(cells.site)), cells.ports)
+    port = np.concatenate([np.empty(0, np.int64), *map(np.arange, cells.ports)])
     return LinkTable(
         site=cells.site[cell],
         cell=cell,
@@ -67,9 +68,3 @@ def link_table(cells: Cells) -> LinkTable:
         cell_site=cells.site,
         cell_ports=cells.ports,
     )
-
-
-def _cell_and_port(cells: Cells) -> tuple[Ints, Ints]:
-    cell = np.repeat(np.arange(len(cells.site)), cells.ports)
-    port = np.concatenate([np.arange(p) for p in cells.ports]) if len(cells.ports) else np.empty(0, np.int64)
-    return cell.astype(np.int64), port.astype(np.int64)

@@ -15,7 +15,6 @@ from cellslam.sim.traffic.traffic_config import KINDS, TrafficConfig
 
 if TYPE_CHECKING:
     from cellslam.sim.city.city import City
-    from cellslam.sim.traffic.driving_kernel import Rules
     from cellslam.sim.vehicle import Drive, Route, VehicleConfig
 
 STEP_S = 0.1
@@ -72,25 +71,11 @@ def lanes_that_fit(config: TrafficConfig, city: City, route: Route) -> tuple[Flo
     return fit(range(config.lanes), -1), fit(range(1, config.oncoming_lanes + 1), 1)
 
 
-def rules() -> Rules:
-    """Return the constants of highway-env's IDMVehicle."""
-    from highway_env.vehicle.behavior import IDMVehicle as Model
-
-    from cellslam.sim.traffic.driving_kernel import Rules
-
-    return Rules(
-        hardest=Model.ACC_MAX, acceleration=Model.COMFORT_ACC_MAX, braking=-Model.COMFORT_ACC_MIN,
-        jam_gap=Model.DISTANCE_WANTED, time_gap=Model.TIME_WANTED, exponent=Model.DELTA, politeness=Model.POLITENESS,
-        gain=Model.LANE_CHANGE_MIN_ACC_GAIN, imposed=Model.LANE_CHANGE_MAX_BRAKING_IMPOSED,
-        delay=Model.LANE_CHANGE_DELAY,
-    )  # fmt: skip
-
-
 def _flow(
     config: TrafficConfig, route: Route, lanes: Floats, direction: int, ours: Floats, rng: np.random.Generator
 ) -> tuple[Ints, Floats, Floats]:
     """Return kind (N,), size (N, 3) and states (K, N, 3): arc of the route, side, heading, of one direction."""
-    from cellslam.sim.traffic.driving_kernel import Cars, Road, drive_all
+    from cellslam.sim.traffic.driving_kernel import RULES, Cars, Road, drive_all
 
     length = route.length_m
     each = round(config.vehicles_per_km * length / 1000.0)
@@ -101,7 +86,7 @@ def _flow(
     kind = rng.choice(len(KINDS), count, p=np.array(config.shares) / sum(config.shares))
     size = np.array([[k.length_m, k.width_m, k.height_m] for k in KINDS])[kind]
     wanted = config.speed_mps * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, count)
-    timer = rng.uniform(0.0, rules().delay, count)
+    timer = rng.uniform(0.0, RULES.delay, count)
     own = 0.0 if direction > 0 else NOBODY_M
     cars = Cars(
         along=np.append((ours[0, 0] + slot * length / (each + 1)) % length, 0.0),
@@ -111,7 +96,7 @@ def _flow(
         wanted=np.append(wanted, config.speed_mps),
     )  # fmt: skip
     road = Road(length, direction * lanes, config.lane_width_m, _limit(route)[::direction].copy())
-    states = drive_all(cars, ours, road, rules(), STEP_S, KEPT)
+    states = drive_all(cars, ours, road, RULES, STEP_S, KEPT)
     if direction < 0:
         states = np.stack([length - states[..., 0], -states[..., 1], states[..., 2] + np.pi], axis=-1)
     return kind, size, states

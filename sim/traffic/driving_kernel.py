@@ -38,6 +38,12 @@ class Rules(NamedTuple):
     delay: float
 
 
+RULES = Rules(
+    hardest=6.0, acceleration=3.0, braking=5.0, jam_gap=10.0, time_gap=1.5, exponent=4.0, politeness=0.0, gain=0.2,
+    imposed=2.0, delay=1.0,
+)  # fmt: skip
+
+
 class Road(NamedTuple):
     """Parallel lanes that begin again where they end, all in one direction.
 

@@ -21,7 +21,6 @@ Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 PortName = tuple[int, int]  # cell ID and antenna port
 LONGEST_SLOT_S = 0.5e-3  # that the array listens to one of its ports
-WANTED = ("slot_s", "slots", "sample_s", "element_hz", "bandwidth_hz", "tones_hz", "comb_step_hz", "combs", "values")
 PORTS = ((1, 0), (2, 0))
 
 
@@ -91,7 +90,7 @@ def checked(given: Any, window_m: float) -> Waveform:
     is wrong.
     """
     kind = type(given).__name__
-    lacking = [name for name in WANTED if not hasattr(given, name)]
+    lacking = [name for name in vars(Waveform) if not name.startswith("_") and not hasattr(given, name)]
     if lacking:
         raise InputError(f"{kind} is no waveform: it lacks {', '.join(lacking)}")
     waveform: Waveform = given

@@ -132,7 +132,7 @@ def versions() -> dict[str, str]:
     """Return the versions of what recordings and rows depend on."""
     from importlib.metadata import version
 
-    packages = ("cellslam", "numpy", "numba", "scipy", "embreex", "highway-env")
+    packages = ("cellslam", "numpy", "numba", "scipy", "embreex")
     return {name: version(name) for name in packages} | {"python": platform.python_version()}
 
 

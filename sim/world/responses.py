@@ -14,7 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cellslam.sim.errors import InputError
-from cellslam.sim.lte.signal.drive_in_blocks import snapshot_paths, snapshot_rng
+from cellslam.sim.lte.signal.drive_in_blocks import snapshot_rng
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats
 from cellslam.sim.world.world import World, WorldConfig, path_columns, prepare
@@ -63,7 +63,7 @@ def _fill(file: h5py.File, world: World, progress: Progress) -> None:
     rng = world.streams().noise
     with progress("responses", len(poses)) as advance:
         for t, pose in enumerate(poses):
-            one, _ = snapshot_paths(columns, t, len(world.sites_m))
+            one, _ = columns.of_snapshots(t, t + 1, len(world.sites_m))
             own = snapshot_rng(rng, t)
             for link, samples in enumerate(signals.responses(one, pose, drive.velocity[t, :3], t, own)):
                 data[t, link] = np.ascontiguousarray(samples, np.complex64).view(COMPLEX)

@@ -10,11 +10,9 @@ import pandas as pd
 import pytest
 
 from cellslam.benchmarks.sweeps.rows import results
-from cellslam.benchmarks.sweeps.tasks import asked_by, plan_known, recording_of
 from cellslam.cli.commands.reproduce import comparison, ladder
 from cellslam.cli.main import main
 from cellslam.scenarios.known_worlds import paper, phd_slam_3
-from cellslam.scenarios.known_worlds.known_world import Entry
 
 WORDS = ("reproduce", "phd-slam-3", "--executor", "serial", "--no-trajectories", "--seed", "5", "--trials")
 
@@ -77,12 +75,3 @@ def test_a_rung_is_worth_the_geometric_mean_of_its_ratios() -> None:
     assert columns[-3] == ["-", "0.50"] and columns[-1] == ["6", "5"]
     low, high = (float(text) for text in columns[-2][1].split(" to "))
     assert 0.35 < low < 0.5 < high < 0.75
-
-
-def test_an_entry_may_change_the_world(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(paper, "PRESET", "tiny")
-    unknown = Entry("offsets unknown", "dead-reckoning", {}, overrides={"radio.clock_offset_std_m": 150.0})
-    made = plan_known(replace(paper.WORLD, ladder=(unknown,)), 1, 5)
-    stds = [recording_of(task).sites.clock_offset_std_m[0] for task in made.tasks]
-    assert stds == [0.0, 150.0]
-    assert asked_by(paper.WORLD, unknown)[0] == made.tasks[1].world

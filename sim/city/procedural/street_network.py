@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import networkx as nx
+import itertools
+from collections import Counter
+
 import numpy as np
 
 from cellslam.sim.city.city import Floats
 from cellslam.sim.city.city_config import ProceduralCityConfig
 
 Node = tuple[int, int]
+Edge = tuple[Node, Node]
 BEND_POINTS = 5
 
 
@@ -16,13 +19,14 @@ def street_network(config: ProceduralCityConfig, rng: np.random.Generator) -> tu
     """Return street centre lines, each (n, 2) in metres, round the origin; ends that meet are bit-equal."""
     count = max(2, round(config.extent_m / config.block_size_m))
     positions = _nodes(count, config, rng)
-    graph = nx.grid_2d_graph(count + 1, count + 1)
-    for a, b in _drop_order(graph, count, config, rng):
-        graph.remove_edge(a, b)
+    edges = [((i, j), (i + 1, j)) for i in range(count) for j in range(count + 1)]
+    edges = sorted(edges + [((i, j), (i, j + 1)) for i in range(count + 1) for j in range(count)])
+    left_out = _left_out(edges, count, config, rng)
     inner = 0.06 * config.irregularity / 0.25
     return tuple(
         _bent(positions[a], positions[b], inner * rng.uniform(-1.0, 1.0) if _is_inner(a, b, count) else 0.0)
-        for a, b in sorted(tuple(sorted(edge)) for edge in graph.edges)
+        for a, b in edges
+        if (a, b) not in left_out
     )
 
 
@@ -39,19 +43,17 @@ def _nodes(count: int, config: ProceduralCityConfig, rng: np.random.Generator) -
     return np.asarray(grid + jitter, np.float64)
 
 
-def _is_inner(a: tuple[int, int], b: tuple[int, int], count: int) -> bool:
+def _is_inner(a: Node, b: Node, count: int) -> bool:
     return not any(a[axis] == b[axis] and a[axis] in (0, count) for axis in (0, 1))
 
 
-def _drop_order(
-    graph: nx.Graph, count: int, config: ProceduralCityConfig, rng: np.random.Generator
-) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+def _left_out(edges: list[Edge], count: int, config: ProceduralCityConfig, rng: np.random.Generator) -> set[Edge]:
     """Choose inner edges to leave out; every corner keeps at least two streets."""
-    inner = [edge for edge in sorted(graph.edges) if _is_inner(edge[0], edge[1], count)]
+    inner = [edge for edge in edges if _is_inner(*edge, count)]
     wanted = round(config.merged_share * len(inner))
-    degree = dict(graph.degree)
+    degree = Counter(itertools.chain.from_iterable(edges))
     touched: set[Node] = set()
-    dropped: list[tuple[Node, Node]] = []
+    dropped: set[Edge] = set()
     for index in rng.permutation(len(inner)):
         a, b = inner[index]
         if len(dropped) == wanted:
@@ -60,7 +62,7 @@ def _drop_order(
         if {a, b} & touched or min(degree[a], degree[b]) < 3:
             continue
         touched |= {a, b}
-        dropped.append((a, b))
+        dropped.add((a, b))
     return dropped
 
 

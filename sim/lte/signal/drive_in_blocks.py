@@ -88,7 +88,7 @@ class _Blocks:
     def _measured(self, start: int) -> Floats:
         rows = [np.empty((0, k.COLUMNS))]
         for t in range(start, min(start + self.length, len(self.poses))):
-            one, low = snapshot_paths(self.paths, t, len(self.front_end.offsets_m))
+            one, low = self.paths.of_snapshots(t, t + 1, len(self.front_end.offsets_m))
             number = self.first_snapshot + t
             own = snapshot_rng(self.rng, number)
             velocity, odometry = self.velocities[t, :3], self.odometry[t, :3]
@@ -114,13 +114,6 @@ def _kept(file: Path) -> Floats | None:
     if hashlib.sha256(content[size:]).digest() != content[:size]:
         return None
     return np.asarray(np.load(io.BytesIO(content[size:])), np.float64)
-
-
-def snapshot_paths(paths: PathColumns, t: int, sites: int) -> tuple[PathColumns, int]:
-    """Return the paths of one snapshot, and the row of the first."""
-    rows = paths.rows[t * sites : (t + 1) * sites + 1]
-    low, high = int(rows[0]), int(rows[-1])
-    return PathColumns(rows - low, paths.vt_m[low:high], paths.gain[low:high], paths.departure_rad[low:high]), low
 
 
 def snapshot_rng(rng: np.random.Generator, number: int) -> np.random.Generator:

@@ -53,6 +53,12 @@ class PathColumns(NamedTuple):
     gain: NDArray[np.complex128]
     departure_rad: NDArray[np.float64]
 
+    def of_snapshots(self, first: int, last: int, sites: int) -> tuple[PathColumns, int]:
+        """Return the paths of receivers `first` up to `last`, not included, and the row of the first path."""
+        rows = self.rows[first * sites : last * sites + 1]
+        low, high = int(rows[0]), int(rows[-1])
+        return PathColumns(rows - low, self.vt_m[low:high], self.gain[low:high], self.departure_rad[low:high]), low
+
 
 class Streams(NamedTuple):
     """The generators of a front end: noise, detection, clutter. They advance with every snapshot."""

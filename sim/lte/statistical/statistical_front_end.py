@@ -104,7 +104,7 @@ def detect(
     """
     from cellslam.sim.lte.statistical.detection_kernel import measure_block
 
-    sites, links = len(offsets_m), link_table(cells)
+    links = link_table(cells)
     s = constants or statistics_of(config, asked=True)
     world = streams.clutter.bit_generator.seed_seq.generate_state(1, np.uint64)[0]
     model = model_of(config, s)
@@ -113,9 +113,7 @@ def detect(
     with progress("measuring", len(poses)) as advance:
         for start in range(0, len(poses), BLOCK):
             part = poses[start : start + BLOCK]
-            rows = paths.rows[start * sites : (start + len(part)) * sites + 1]
-            low, high = rows[0], rows[-1]
-            own = PathColumns(rows - low, paths.vt_m[low:high], paths.gain[low:high], paths.departure_rad[low:high])
+            own, low = paths.of_snapshots(start, start + len(part), len(offsets_m))
             away = own.departure_rad[:, :1] - cells.azimuth_rad, own.departure_rad[:, 1:]
             sector = 10.0 ** (0.1 * config.sector_gain_db(*away, cells.tilt_rad))
             block = measure_block(

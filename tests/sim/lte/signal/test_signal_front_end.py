@@ -93,7 +93,7 @@ def test_processes_snapshots_and_a_restart_give_the_same(tmp_path: Path, monkeyp
     monkeypatch.setattr(streaming, "BLOCK", 1)  # so many blocks that several processes measure them
     whole = streaming.detect_signals(signals, paths, poses, velocity, velocity, rng)
     monkeypatch.setattr(streaming, "BLOCK", 2)
-    one, low = streaming.snapshot_paths(paths, 1, 2)
+    one, low = paths.of_snapshots(1, 2, 2)
     alone = streaming.detect_signals(signals, one, poses[1:2], velocity[1:2], velocity[1:2], rng, first_snapshot=1)
     rows = whole.measurements.snapshot == 1
     np.testing.assert_array_equal(alone.measurements.distance_m, whole.measurements.distance_m[rows])

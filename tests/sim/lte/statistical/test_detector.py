@@ -13,7 +13,6 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.links import Cells, cells_of
 from cellslam.sim.lte.persisting_errors import draw_fields, floors
-from cellslam.sim.lte.signal.drive_in_blocks import snapshot_paths
 from cellslam.sim.lte.statistical.clutter_kernel import BLUR_AZIMUTH_RAD, STRETCH
 from cellslam.sim.lte.statistical.detector_layout import GAMMA_START_DB, GAMMA_STEP_DB, PathColumns, Streams
 from cellslam.sim.lte.statistical.statistical_front_end import Detections, detect, noise_clutter_mean
@@ -227,7 +226,7 @@ def test_blocks_and_single_snapshots_draw_the_same(persisting: bool) -> None:
     streams = Streams.spawn(np.random.default_rng(2))
     pieces = []
     for t in range(count):
-        one, _ = snapshot_paths(paths, t, 1)
+        one, _ = paths.of_snapshots(t, t + 1, 1)
         pieces.append(detect(config, cells, one, poses[t : t + 1], np.zeros(1), FIELDS, streams, first_snapshot=t))
     assert len(whole.path) > count
     for name in ("snapshot", "link", "distance_m", "azimuth_rad", "elevation_rad", "snr_db", "distance_std_m"):
