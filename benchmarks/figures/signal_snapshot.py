@@ -11,6 +11,7 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.lte.signal.drive_in_blocks import snapshot_rng
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import AZIMUTHS, ELEVATIONS
+from cellslam.sim.lte.signal.signal_front_end import true_geometry
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.recording import Floats
 from cellslam.sim.world import World, path_columns
@@ -36,7 +37,7 @@ def draw_snapshot(world: World, number: int, link: int | None, out: Path) -> lis
     table = signals.measure(columns, pose, velocity, velocity, number, snapshot_rng(noise, number))
     slots = signals.slots(number)
     received = signals.receive(columns, pose, velocity, number, slots, snapshot_rng(noise, number))
-    truth = signals.geometry(columns, pose, number)
+    truth = true_geometry(columns, pose)
     counts = np.bincount(table[:, k.LINK].astype(int), minlength=links)
     shown = [link] if link is not None else sorted(np.argsort(-counts, kind="stable")[:SHOWN].tolist())
     figure = Figure(figsize=(11.0, 4.2 * ((len(shown) + 1) // 2)), layout="constrained")

@@ -106,7 +106,7 @@ class RadioConfig(BaseModel):
     )
 
     detection_threshold: float = Field(
-        default_factory=lambda keys: threshold_of(keys),
+        default_factory=threshold_of,
         ge=8.0,
         le=40.0,
         description="detection threshold on projected energy over noise variance (not given: that of the band)",

@@ -12,7 +12,7 @@ import numpy as np
 
 from cellslam.sim.frames import unit_vector, wrap_angle
 from cellslam.sim.lte.radio_config import RadioConfig
-from cellslam.sim.lte.signal.signal_front_end import SignalLevel
+from cellslam.sim.lte.signal.signal_front_end import SignalLevel, true_geometry
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.progress import Progress
@@ -82,7 +82,7 @@ def _lone(config: RadioConfig, rng: np.random.Generator) -> tuple[SignalLevel, P
 def _errors(front_end: SignalLevel, paths: PathColumns, pose: Floats, rng: np.random.Generator) -> Floats:
     """Return errors (ports, 3) of the lone path, NaN where it was missed."""
     table = front_end.measure(paths, pose, STILL, STILL, 0, rng)
-    truth = front_end.geometry(paths, pose, 0)[0]
+    truth = true_geometry(paths, pose)[0]
     out = np.full((2, 3), np.nan)
     for row in table[table[:, k.PATH] >= 0.0]:
         error = row[[k.DISTANCE, k.AZIMUTH, k.ELEVATION]] - truth

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from cellslam.sim.errors import InputError
-from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation, world_to_body, wrap_angle
 from cellslam.sim.lte.array import CircularArray, Complex, ComplexSingle, PathSet, array_at, miscalibrated
 from cellslam.sim.lte.links import Cells, link_table, slant
 from cellslam.sim.lte.persisting_errors import floors
@@ -99,7 +99,7 @@ class SignalLevel:
 
         `velocity_mps` (3,) of the body is true, `odometry_mps` (3,) what the receiver compensates Doppler with.
         """
-        truth = self.geometry(paths, pose, snapshot)
+        truth = true_geometry(paths, pose)
         motion = self.receiver.moving(odometry_mps)
         rows = []
         for link, samples in enumerate(self.responses(paths, pose, velocity_mps, snapshot, rng)):
@@ -229,12 +229,6 @@ class SignalLevel:
                 y = cancel(y, self.waveform, self.name(link), self.name(int(other)), comb, slots, apart)
         return y
 
-    def geometry(self, paths: PathColumns, pose: Floats, snapshot: int) -> Floats:
-        """Return distance, azimuth and elevation (P, 3), m, rad, rad, of the traced paths."""
-        unit = np.ones(len(paths.vt_m))
-        p: PathSet = arriving_paths(pose, paths.vt_m, paths.gain, np.array([1.0, 0.0]), unit, self.config.carrier_hz)
-        return np.stack([p.distance_m, p.azimuth_rad, p.elevation_rad], 1)
-
     def rows(self, snapshot: int, link: int, found: Estimates, truth: Floats, first: int) -> Floats:
         """Return a link's measurements (n, COLUMNS), m, rad, dB: claimed deviations are those of the fit and the
         floors.
@@ -288,6 +282,12 @@ def signal_level(
     surroundings = Surroundings(int(rng.integers(2**32)), config.specular_to_diffuse_db, scatterers)
     carrier = CARRIER_OFFSET_STD_HZ * rng.standard_normal(len(offsets_m))
     return SignalLevel(config, waveform, cells, offsets_m, carrier, remaining, surroundings, array, receiver)
+
+
+def true_geometry(paths: PathColumns, pose: Floats) -> Floats:
+    """Return distance, azimuth and elevation (P, 3), m, rad, rad, of the traced paths at a pose (6,)."""
+    towards = world_to_body(pose, paths.vt_m - pose[:3])
+    return np.column_stack([np.linalg.norm(towards, axis=1), *azimuth_elevation(towards)])
 
 
 def _sources(found: Floats, truth: Floats, finer: float) -> Ints:
