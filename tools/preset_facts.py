@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import tomli_w
 
 from cellslam.cli.arguments import DONE
-from cellslam.scenarios.loading import load, preset_names
+from cellslam.scenarios.loading import PRESETS, load, preset_names
 from cellslam.scenarios.scenario import Scenario
 from tools.scenario_facts import scenario_facts
 
@@ -46,6 +45,6 @@ def command(arguments: Namespace) -> int:
     """Measure the presets of these names, or all."""
     for name in arguments.names or preset_names():
         facts = mean_facts(load(name))
-        write_facts(Path(str(files("cellslam.scenarios.presets") / f"{name}.toml")), facts)
+        write_facts(PRESETS / f"{name}.toml", facts)
         print(f"{name}: {facts}")
     return DONE

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import tomllib
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 
@@ -41,7 +41,7 @@ SEGMENTS = (
     (300, 0.0), (500, math.pi / 250.0), (400, 0.0), (400, math.pi / 400.0), (500, 0.0), (400, -math.pi / 400.0),
     (500, 0.0), (300, 0.01096), (400, 0.0), (200, -math.pi / 200.0), (100, 0.0),
 )  # fmt: skip
-_PUBLISHED = tomllib.loads((files("cellslam.scenarios.known_worlds") / "phd_slam_3.toml").read_text("utf-8"))
+_PUBLISHED = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
 WAYPOINTS, LANDMARKS_M = np.array(_PUBLISHED["waypoints"]), np.array(_PUBLISHED["landmarks_m"])
 
 
