@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from pydantic import BaseModel, create_model
 
 from cellslam.scenarios.keys import validate
@@ -165,7 +166,6 @@ def _request(tables: Tables, target: str, ask: Ask | None) -> Request:
 
 def data_sheet(radio: RadioConfig) -> dict[str, float]:
     """Return the options that the waveform decides: deviations in m and deg by noise at 0 dB, and by diffuse energy."""
-    import numpy as np
 
     from cellslam.sim.lte.error_bounds import single_path_std
     from cellslam.sim.lte.persisting_errors import causes

@@ -15,11 +15,12 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.frames import held, mean_velocity
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Recording
+from cellslam.sim.vehicle import Drive
+from cellslam.sim.world import draw_reception, recorded
+from cellslam.sim.world import simulate as simulate_world
 
 if TYPE_CHECKING:
     from cellslam.sim.rays.exchange import Traced
-    from cellslam.sim.vehicle import Drive
-
 FASTEST_MPS = 70.0
 HEADING_OVER_M = 0.1
 CARRIER_SHARE = 0.01
@@ -39,8 +40,6 @@ def simulate(
     `place`: trial whose city, route and sites it has (None: its own). Raises InputError for a wrong request, and where
     the world cannot be made.
     """
-    from cellslam.sim.world import simulate as simulate_world
-
     chosen = scenario_of(scenario, overrides)
     recording = simulate_world(chosen.world, seed, trial, progress, place)
     tables = {key: table for key, table in chosen.resolved.items() if key != "map"}  # it has no part in a recording
@@ -64,8 +63,6 @@ def simulate_paths(
     Radio, cells, odometry and snapshot interval are the scenario's; its sites stand where the transmitters of the paths
     do, in their order. The vehicle is level and heads where it goes. Raises InputError where both do not fit.
     """
-    from cellslam.sim.world import draw_reception, recorded
-
     _check(scenario, traced, name)
     positions = [tuple(place) for place in traced.transmitters_m.tolist()]
     sites = tuple(s.model_copy(update={"position_m": p}) for s, p in zip(scenario.sites, positions, strict=True))
@@ -82,8 +79,6 @@ def simulate_paths(
 
 def drive_through(places_m: Floats, interval_s: float) -> Drive:
     """Return the level drive over places (T, 3) in m, one each interval, heading where it goes."""
-    from cellslam.sim.vehicle import Drive
-
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places_m[:, :2], axis=0).T))])
     if travelled[-1] < HEADING_OVER_M:
         raise InputError("the receivers are one place: give those of a drive, in order")

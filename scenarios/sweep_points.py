@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.scenarios.estimator_options import Ask, Request, called, resolve
@@ -111,7 +112,6 @@ def grid_axis(text: str) -> Axis:
 
 def latin_axis(config: LatinConfig) -> Axis:
     """Return the points of a Latin hypercube (McKay, Beckman, Conover, 1979). Raises InputError for a bad range."""
-    import numpy as np
     from scipy.stats import qmc
 
     for key, span in config.ranges.items():

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from cellslam.sim.city import City
 from cellslam.sim.recording import Floats, Ints, Links, Measurements, Recording, Truth, VirtualTransmitters
 from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS
-
-if TYPE_CHECKING:
-    from cellslam.sim.city import City
 
 # Every error is white, and nothing moves the array but the vehicle.
 WHITE = NOTHING_PERSISTS | {

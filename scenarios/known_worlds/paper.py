@@ -6,16 +6,15 @@ information", section V: largest error and error at the end of one measured driv
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cellslam.scenarios.known_worlds.known_world import Entry, Figure, KnownWorld
 from cellslam.scenarios.loading import load
+from cellslam.scenarios.scenario import Scenario
 from cellslam.scenarios.simulation import simulate as simulated
+from cellslam.sim.city import City
 from cellslam.sim.recording import Recording
-
-if TYPE_CHECKING:
-    from cellslam.scenarios.scenario import Scenario
-    from cellslam.sim.city import City
+from cellslam.sim.world import prepare
 
 PRESET = "lund-530"
 
@@ -32,8 +31,6 @@ def simulate(seed: int, trial: int) -> Recording:
 
 def city(seed: int, trial: int) -> City | None:
     """Return the city of a run."""
-    from cellslam.sim.world import prepare
-
     return prepare(scenario().world, seed, trial).scene.city
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,10 +11,10 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cellslam.sim.errors import InputError, one_line
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
+from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.own_code import OWN, is_allowed, load_own
-
-if TYPE_CHECKING:
-    from cellslam.sim.waveform import Waveform
+from cellslam.sim.waveform import Waveform
+from cellslam.sim.waveform.waveform import checked
 
 Floats = NDArray[np.float64]
 NOISE_BANDWIDTH_HZ = 15e3  # that `noise_dbm` is given for
@@ -268,15 +268,11 @@ class RadioConfig(BaseModel):
     def waveform(self) -> Waveform:
         """Return the waveform of these keys: `technology` says which. Raises InputError where there is none."""
         if self.technology == "lte":
-            from cellslam.sim.lte.downlink import LteWaveform
-
             return LteWaveform(self.resource_blocks)
         if self.technology == "nr":
             from cellslam.sim.nr.nr_waveform import NrWaveform
 
             return NrWaveform(self.resource_blocks, self.numerology, self.prs_comb, self.prs_symbols)
-        from cellslam.sim.waveform.waveform import checked
-
         kind = load_own("radio.technology", self.technology)
         try:
             own = kind(self)

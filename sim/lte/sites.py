@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from cellslam.sim.city import City
 from cellslam.sim.city.inside import roof_height
 from cellslam.sim.errors import InputError
-
-if TYPE_CHECKING:
-    from cellslam.sim.city import City
-    from cellslam.sim.vehicle import Route
+from cellslam.sim.vehicle import Route
 
 Floats = NDArray[np.float64]
 

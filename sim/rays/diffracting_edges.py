@@ -6,16 +6,13 @@ Source: own derivation; what is computed at them, ITU-R P.526-15, section 4.1 (d
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellslam.sim.city.city import GROUND, City, Floats, Ints
 from cellslam.sim.city.facets import weld
 from cellslam.sim.city.inside import OUTSIDE, enclosing
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 # An edge between facets that meet at an angle flatter than this is none.
 FLAT_DEG = 10.0

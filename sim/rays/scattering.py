@@ -20,7 +20,6 @@ assumption: 15 dBsm, which is about that of a corner reflector of half a metre a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,9 +27,7 @@ from cellslam.sim.city.city import GROUND, Floats, Ints
 from cellslam.sim.described import Described
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation
 from cellslam.sim.rays.paths import Paths
-
-if TYPE_CHECKING:
-    from cellslam.sim.rays.scene import Scene
+from cellslam.sim.rays.scene import Scene
 
 FIRST = -2  # what stands for scatterer 0 in the second column of `Paths.facets`; -3 for scatterer 1, and so on
 MEAN_DBSM, STD_DB = 15.0, 5.0

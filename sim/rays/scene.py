@@ -7,16 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.city.city import GROUND, City, Floats, Ints
 from cellslam.sim.described import Described
-
-if TYPE_CHECKING:
-    from cellslam.sim.rays.diffracting_edges import Edges
+from cellslam.sim.rays.diffracting_edges import Edges, find_edges
 
 # Shadow rays end this far from a wall's plane; float32 would hit the wall itself at less.
 CLEARANCE_M = 1e-3
@@ -66,8 +64,6 @@ class Scene(Described):
     @cached_property
     def edges(self) -> Edges:
         """The edges that diffract; found when first asked for."""
-        from cellslam.sim.rays.diffracting_edges import find_edges
-
         return find_edges(self.city, self.origin_m)
 
     def unobstructed(self, origins: Floats, targets: Floats, reach: Floats) -> NDArray[np.bool_]:

@@ -5,17 +5,13 @@ Our vehicle drives as it would without traffic: others follow, brake for and ove
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from cellslam.sim.city.city import City
 from cellslam.sim.recording import Floats, Ints
 from cellslam.sim.traffic.traffic import Traffic
 from cellslam.sim.traffic.traffic_config import KINDS, TrafficConfig
-
-if TYPE_CHECKING:
-    from cellslam.sim.city.city import City
-    from cellslam.sim.vehicle import Drive, Route, VehicleConfig
+from cellslam.sim.vehicle import Drive, Route, VehicleConfig
 
 STEP_S = 0.1
 KEPT = 5  # steps from one pose to the next that is kept

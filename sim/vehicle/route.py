@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cellslam.sim.city import City
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
 from cellslam.sim.vehicle.street_walk import random_walk, street_network
 from cellslam.sim.vehicle.vehicle_config import VehicleConfig
-
-if TYPE_CHECKING:
-    from cellslam.sim.city import City
 
 MARGIN_M = 5.0  # a planned route is longer than the drive by this, for the follower cuts corners and looks ahead
 STEP_M = 0.1  # between two points of the centre line, or a little less

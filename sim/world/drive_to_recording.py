@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import platform
 from dataclasses import replace
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, held, wrap_angle
-from cellslam.sim.lte.faults import walk_densities
+from cellslam.sim.lte.faults import Reports, as_reported, walk_densities
+from cellslam.sim.lte.links import links_of
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Links, Recording, Sites, Truth, Vehicles, VirtualTransmitters
+from cellslam.sim.traffic import Blocked, reflecting_vehicle
+from cellslam.sim.vehicle import Odometry
 from cellslam.sim.world.world import Reception, WorldConfig, prepare
 
 if TYPE_CHECKING:
-    from cellslam.sim.lte.faults import Reports
     from cellslam.sim.lte.statistical.statistical_front_end import Detections
     from cellslam.sim.rays import Paths
-    from cellslam.sim.traffic import Blocked
-    from cellslam.sim.vehicle import Odometry
 
 
 def simulate(
@@ -36,8 +37,6 @@ def simulate(
     recording, reported = recorded(world, odometry, detections, paths, reports, blocked.free(len(paths)))
     if world.traffic is None or recording.truth is None:
         return recording
-    from cellslam.sim.traffic import reflecting_vehicle
-
     _, path_vt = virtual_transmitters(paths)
     vehicles = Vehicles(
         **vars(world.traffic),
@@ -53,7 +52,6 @@ def recorded(
 ) -> tuple[Recording, Detections]:  # fmt: skip
     """Return the recording of a drive, truth included, and its detections as they are reported. `free` (P,): which of
     the paths exist, None for all; `reports`: when snapshots are reported, None: in time."""
-    from cellslam.sim.lte.faults import as_reported
     from cellslam.sim.lte.persisting_errors import persisting_std
 
     config = world.config
@@ -103,8 +101,6 @@ def recorded(
 
 def known_of(world: Reception) -> tuple[Links, Sites]:
     """Return what is known of the links and of their sites beforehand."""
-    from cellslam.sim.lte.links import links_of
-
     config, count = world.config, len(world.config.sites)
     drift = np.full(count, SPEED_OF_LIGHT_MPS * config.radio.clock_drift) if config.radio.clock_drift > 0.0 else None
     offset, radio = np.full(count, config.radio.clock_offset_std_m), config.radio
@@ -130,8 +126,6 @@ def provenance(config: WorldConfig, seed: int, trial: int) -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Return the versions of what recordings and rows depend on."""
-    from importlib.metadata import version
-
     packages = ("cellslam", "numpy", "numba", "scipy", "embreex")
     return {name: version(name) for name in packages} | {"python": platform.python_version()}
 
@@ -141,7 +135,6 @@ def virtual_transmitters(paths: Paths, free: NDArray[np.bool_] | None = None) ->
     (P,), -1 if a vehicle reflects it. `free` (P,): which paths exist, None for all; a VT may have none of these.
     """
     from cellslam.sim.rays.scattering import scatterer_of
-    from cellslam.sim.traffic import reflecting_vehicle
 
     still = np.flatnonzero(reflecting_vehicle(paths.facets) < 0)
     key = np.column_stack([paths.transmitter, paths.facets, paths.edge])[still]

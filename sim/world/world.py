@@ -9,29 +9,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
+from cellslam.sim.city import build_city
 from cellslam.sim.city.city_config import CityConfig, MeshCityConfig, ProceduralCityConfig
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.faults import ClockErrors, draw_clock_errors
+from cellslam.sim.lte.faults import ClockErrors, Reports, draw_clock_errors, draw_reports, poses_before
+from cellslam.sim.lte.links import Cells, cells_of, links_of
 from cellslam.sim.lte.radio_config import RadioConfig
-from cellslam.sim.lte.sites import SiteConfig
+from cellslam.sim.lte.sites import SiteConfig, place_sites
+from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Floats, Ints
+from cellslam.sim.traffic import Blocked, Traffic, blocked_paths, draw_traffic, reflected_paths
 from cellslam.sim.traffic.traffic_config import TrafficConfig
+from cellslam.sim.vehicle import Drive, Odometry, drive, measure_odometry, plan_route, with_faults
+from cellslam.sim.vehicle.route import Route
 from cellslam.sim.vehicle.vehicle_config import OdometryConfig, VehicleConfig
 
 if TYPE_CHECKING:
-    from cellslam.sim.lte.faults import Reports
-    from cellslam.sim.lte.links import Cells
     from cellslam.sim.lte.signal.signal_front_end import SignalLevel
-    from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
     from cellslam.sim.lte.statistical.measurement_kernel import Fields
     from cellslam.sim.lte.statistical.statistical_front_end import Detections
     from cellslam.sim.rays import Paths, Scene
     from cellslam.sim.rays.scattering import Scatterers
-    from cellslam.sim.traffic import Blocked, Traffic
-    from cellslam.sim.vehicle import Drive, Odometry
-    from cellslam.sim.vehicle.route import Route
 
 KEPT_SCENES = 2
 
@@ -73,21 +73,15 @@ class Reception:
 
     def streams(self) -> Streams:
         """Return the receiver's generators at the start of the trial."""
-        from cellslam.sim.lte.statistical.detector_layout import Streams
-
         return Streams(*(self._rng(name) for name in (Stream.NOISE, Stream.DETECTION, Stream.CLUTTER)))
 
     def odometry(self) -> Odometry:
         """Return what wheels and gyro measure of the trial's drive, faults included."""
-        from cellslam.sim.vehicle import measure_odometry, with_faults
-
         measured = measure_odometry(self.drive, self.config.odometry, self._rng(Stream.ODOMETRY))
         return with_faults(measured, self.drive.time_s, self.config.odometry, self._rng(Stream.SENSORS))
 
     def reports(self) -> Reports | None:
         """Return when the receiver reports the snapshots of the trial's drive; None: each in time."""
-        from cellslam.sim.lte.faults import draw_reports
-
         return draw_reports(self.config.radio, len(self.drive.time_s), self._rng(Stream.REPORTS))
 
     def _rng(self, name: Stream) -> np.random.Generator:
@@ -118,8 +112,6 @@ class Reception:
         follows."""
         if not self.drift_m_s.any() and self.clock_errors is None:
             return found
-        from cellslam.sim.lte.links import links_of
-
         m = found.measurements
         elapsed_s, site = m.snapshot * self.config.vehicle.snapshot_interval_s, links_of(self.cells).site[m.link]
         drifted = m.distance_m + self.drift_m_s[site] * elapsed_s
@@ -144,7 +136,6 @@ class World(Reception):
         from cellslam.sim.rays import trace
         from cellslam.sim.rays.paths import joined
         from cellslam.sim.rays.scattering import scattered_paths
-        from cellslam.sim.traffic import blocked_paths, reflected_paths
 
         city, carrier = self.config.city, self.config.radio.carrier_hz
         receivers_m = np.ascontiguousarray(poses[:, :3])
@@ -193,8 +184,6 @@ class World(Reception):
 
         `late_s` (T,): how long before its snapshot each is (None: in time).
         """
-        from cellslam.sim.lte.faults import poses_before
-
         moment = np.arange(len(self.drive.poses), dtype=np.float64)
         if late_s is None:
             return self.drive.poses, moment
@@ -223,10 +212,7 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
     """Draw the world of one trial: city, route, sites, drive, traffic and clock offsets. `place`: trial whose city,
     route and sites it has (None: its own). Raises InputError where they do not fit.
     """
-    from cellslam.sim.lte.sites import place_sites
     from cellslam.sim.rays.scattering import draw_scatterers
-    from cellslam.sim.traffic import draw_traffic
-    from cellslam.sim.vehicle import drive
 
     with progress("preparing the world", 5) as advance:
         where = trial if place is None else place
@@ -249,8 +235,6 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
 
 def city_and_route(config: WorldConfig, seed: int, trial: int) -> tuple[Scene, Route]:
     """Return the city of a trial, prepared for tracing, and the route through it. Raises InputError."""
-    from cellslam.sim.vehicle import plan_route
-
     scene = _scene(config.city.model_dump_json(), *_city_root(config, seed, trial))
     return scene, plan_route(scene.city, config.vehicle, stream(seed, trial, Stream.ROUTE))
 
@@ -261,7 +245,6 @@ def draw_reception(
     """Draw survey, clock offsets, start and receiver of a trial with sites (S, 3) in m. `place`: trial whose survey it
     has (None: its own). Raises InputError where they do not fit.
     """
-    from cellslam.sim.lte.links import cells_of, links_of
     from cellslam.sim.lte.persisting_errors import draw_fields
 
     cells = cells_of(config.sites)
@@ -288,8 +271,6 @@ def draw_reception(
 
 def path_columns(paths: Paths, receivers: int, sites: int) -> PathColumns:
     """Return the columns of traced paths that the front ends read; paths are sorted by receiver, then site."""
-    from cellslam.sim.lte.statistical.detector_layout import PathColumns
-
     key = paths.receiver * sites + paths.transmitter
     rows = np.searchsorted(key, np.arange(receivers * sites + 1)).astype(np.int64)
     departure = np.stack([paths.departure_azimuth_rad, paths.departure_elevation_rad], axis=1)
@@ -310,7 +291,6 @@ def _city_root(config: WorldConfig, seed: int, trial: int) -> tuple[int, int]:
 def _scene(city_json: str, seed: int, trial: int) -> Scene:
     """Return the city of a configuration, prepared for tracing; the last few are kept, as a preset's city is every
     trial's."""
-    from cellslam.sim.city import build_city
     from cellslam.sim.rays import prepare as prepare_scene
 
     city: ProceduralCityConfig | MeshCityConfig = TypeAdapter(CityConfig).validate_json(city_json)

@@ -6,9 +6,11 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import shapely
+from shapely import Polygon
 
 from cellslam.sim.city.assemble import assemble, cap, prism
 from cellslam.sim.city.city import GROUND, City, Floats, Material, Tolerances
@@ -16,9 +18,6 @@ from cellslam.sim.city.materials import THICKNESS_M, itu_material
 from cellslam.sim.city.ways import largest_network
 from cellslam.sim.errors import InputError, one_line
 from cellslam.sim.plausible import RANGES
-
-if TYPE_CHECKING:
-    from shapely import Polygon
 
 Tags = Mapping[str, str]
 
@@ -135,8 +134,6 @@ def _geocentric(lonlat: Floats) -> Floats:
 
 def _blocks(rings: list[Floats], tags: Tags, origin_deg: Floats) -> list[_Block]:
     """Return the prisms of one area; none if it is underground or too small."""
-    import shapely
-
     plan = shapely.Polygon(local_m(rings[0], origin_deg), [local_m(ring, origin_deg) for ring in rings[1:]])
     plan = shapely.set_precision(shapely.make_valid(plan), 1e-3)
     bottom = _metres(tags, "min_height", "building:min_level") or 0.0
@@ -161,8 +158,6 @@ def _metres(tags: Tags, length_key: str, level_key: str) -> float | None:
 
 def _without_parts(outlines: list[_Block], parts: list[_Block]) -> tuple[list[_Block], int]:
     """Return parts, and of each outline what its parts leave of it (Simple 3D Buildings: nothing should remain)."""
-    import shapely
-
     tree = shapely.STRtree([p.plan for p in parts])
     left, replaced = [], 0
     for outline in outlines:
@@ -181,8 +176,6 @@ def _without_parts(outlines: list[_Block], parts: list[_Block]) -> tuple[list[_B
 
 def _streets(lines: list[Floats], blocks: list[_Block]) -> list[Floats]:
     """Return the largest connected part of the streets within the city's extent, clear of buildings."""
-    import shapely
-
     plans = [b.plan for b in blocks if b.bottom_m < STOREY_M]
     extent = shapely.box(*shapely.total_bounds([b.plan for b in blocks])).buffer(GROUND_MARGIN_M / 2)
     free = shapely.unary_union([shapely.LineString(line) for line in lines]).intersection(extent)
@@ -196,8 +189,6 @@ def _extruded(
     streets: list[Floats], notes: list[str], tolerances: Tolerances,
 ) -> City:  # fmt: skip
     """Put blocks on a flat ground. A block in the air gets a floor."""
-    import shapely
-
     names = sorted({b.material or default for b in blocks} | {default})
     materials: list[Material] = [itu_material(n, THICKNESS_M.get(n), roughness_m) for n in names]
     materials.append(itu_material("medium_dry_ground", None, roughness_m))

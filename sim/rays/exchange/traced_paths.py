@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.city.facets import connected
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector, wrap_angle
 from cellslam.sim.rays.paths import Floats, Ints, Paths, joined
@@ -147,8 +148,6 @@ def _check_angles(
 def _vt_numbers(vt: Floats, transmitter: Ints, order: Ints) -> Ints:
     """Return a number (P,) for each VT, -1 for lines of sight."""
     from scipy.spatial import cKDTree
-
-    from cellslam.sim.city.facets import connected
 
     out = np.full(len(vt), -1, np.int64)
     rows = np.flatnonzero(order > 0)
