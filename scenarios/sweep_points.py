@@ -45,11 +45,6 @@ class Sweep:
     trials: int | None = None
     seed: int | None = None
 
-    @property
-    def swept(self) -> tuple[str, ...]:
-        """The keys that vary, in the order of the axes."""
-        return tuple(dict.fromkeys(key for axis in self.axes for setting in axis for key in setting))
-
 
 @dataclass(frozen=True)
 class Point:

@@ -63,7 +63,8 @@ def test_a_file_is_read_and_told_from_a_scenario(tmp_path: Path) -> None:
     file.write_text('scenario = "mine.toml"\ntrials = 3\nestimators = ["fastslam"]\n[grid]\nradio.load = [0, 1]')
     assert sweep.is_sweep_file(file) and not sweep.is_sweep_file(scenario) and not sweep.is_sweep_file("tiny")
     found = sweep.read(file)
-    assert (found.trials, found.estimators, found.swept) == (3, ("fastslam",), ("radio.load",))
+    assert (found.trials, found.estimators) == (3, ("fastslam",))
+    assert found.axes == (({"radio.load": 0}, {"radio.load": 1}),)
     assert [p.scenario.name for p in sweep.points(found, DR)] == ["mine", "mine"]
 
 
