@@ -15,6 +15,7 @@ from cellslam.sim.compiling import njit, part
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Point = tuple[float, float, float]
+LONGEST_STEP_M = 25.0  # who is farther off after one step has left the lane's end and comes in at its beginning
 
 
 class Lines(NamedTuple):
@@ -30,9 +31,9 @@ class Lines(NamedTuple):
 
 
 @njit(cache=True)
-def place(poses: Floats, step: float, longest_m: float, out: Floats) -> None:
-    """Write the poses (N, 4), in m and rad, between those of whole steps (K, N, 4). Who is farther off than `longest_m`
-    after a step has come in again, and is there already."""
+def place(poses: Floats, step: float, out: Floats) -> None:
+    """Write the poses (N, 4), in m and rad, between those of whole steps (K, N, 4). Who is farther off than
+    `LONGEST_STEP_M` after a step has come in again, and is there already."""
     last = len(poses) - 1
     at = min(max(step, 0.0), float(last))
     k = min(int(at), max(last - 1, 0))
@@ -40,7 +41,7 @@ def place(poses: Floats, step: float, longest_m: float, out: Floats) -> None:
     after = min(k + 1, last)
     for n in range(poses.shape[1]):
         jump = abs(poses[after, n, 0] - poses[k, n, 0]) + abs(poses[after, n, 1] - poses[k, n, 1])
-        share = part if jump <= longest_m else 1.0
+        share = part if jump <= LONGEST_STEP_M else 1.0
         for c in range(4):
             out[n, c] = poses[k, n, c] + share * (poses[after, n, c] - poses[k, n, c])
 
@@ -75,7 +76,7 @@ def _point(corners: Floats, row: int) -> Point:
 
 
 @njit(cache=True)
-def blocking_pairs(lines: Lines, poses: Floats, longest_m: float, size_m: Floats) -> Ints:
+def blocking_pairs(lines: Lines, poses: Floats, size_m: Floats) -> Ints:
     """Return (path, vehicle) (B, 2), each once, sorted by path: vehicles (N,) with poses (K, N, 4) and sizes
     (N, 3), in m and rad. A vehicle that holds the receiver blocks nothing: it stands where ours does.
     """
@@ -87,7 +88,7 @@ def blocking_pairs(lines: Lines, poses: Floats, longest_m: float, size_m: Floats
     for p in range(len(lines.step)):
         if lines.step[p] != step:
             step = lines.step[p]
-            place(poses, step, longest_m, now)
+            place(poses, step, now)
             top = np.max(now[:, 2] + size_m[:, 2])
         corners, last = lines.corners[p], lines.used[p] - 1
         for k in range(last):
@@ -133,7 +134,7 @@ def _blocks(corners: Floats, k: int, last: int, pose: Floats, size: Floats) -> b
 
 @njit(cache=True)
 def mirror_points(
-    transmitter: Floats, receivers: Floats, steps: Floats, poses: Floats, longest_m: float, size_m: Floats,
+    transmitter: Floats, receivers: Floats, steps: Floats, poses: Floats, size_m: Floats,
     mirrors: Ints,
 ) -> tuple[Ints, Floats, Floats]:  # fmt: skip
     """Return (receiver, vehicle) (C, 2), point (C, 3) and normal (C, 3) of all reflections of a transmitter (3,) for
@@ -144,7 +145,7 @@ def mirror_points(
     rows, places = np.empty((1024, 2), np.int64), np.empty((1024, 6))
     found = 0
     for r in range(len(receivers)):
-        place(poses, steps[r], longest_m, now)
+        place(poses, steps[r], now)
         end_m = (receivers[r, 0], receivers[r, 1], receivers[r, 2])
         for n in mirrors:
             start = in_box((transmitter[0], transmitter[1], transmitter[2]), now[n])

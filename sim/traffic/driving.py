@@ -71,7 +71,7 @@ def _flow(
     config: TrafficConfig, route: Route, lanes: Floats, direction: int, ours: Floats, rng: np.random.Generator
 ) -> tuple[Ints, Floats, Floats]:
     """Return kind (N,), size (N, 3) and states (K, N, 3): arc of the route, side, heading, of one direction."""
-    from cellslam.sim.traffic.driving_kernel import RULES, Cars, Road, drive_all
+    from cellslam.sim.traffic.driving_kernel import DELAY_S, Cars, Road, drive_all
 
     length = route.length_m
     each = round(config.vehicles_per_km * length / 1000.0)
@@ -82,7 +82,7 @@ def _flow(
     kind = rng.choice(len(KINDS), count, p=np.array(config.shares) / sum(config.shares))
     size = np.array([[k.length_m, k.width_m, k.height_m] for k in KINDS])[kind]
     wanted = config.speed_mps * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, count)
-    timer = rng.uniform(0.0, RULES.delay, count)
+    timer = rng.uniform(0.0, DELAY_S, count)
     own = 0.0 if direction > 0 else NOBODY_M
     cars = Cars(
         along=np.append((ours[0, 0] + slot * length / (each + 1)) % length, 0.0),
@@ -92,7 +92,7 @@ def _flow(
         wanted=np.append(wanted, config.speed_mps),
     )  # fmt: skip
     road = Road(length, direction * lanes, config.lane_width_m, _limit(route)[::direction].copy())
-    states = drive_all(cars, ours, road, RULES, STEP_S, KEPT)
+    states = drive_all(cars, ours, road, STEP_S, KEPT)
     if direction < 0:
         states = np.stack([length - states[..., 0], -states[..., 1], states[..., 2] + np.pi], axis=-1)
     return kind, size, states

@@ -17,31 +17,15 @@ from cellslam.sim.compiling import njit, part
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+# The constants of `IDMVehicle`, as positive numbers: of following, then of changing lanes.
+HARDEST_MPS2, ACCELERATION_MPS2, BRAKING_MPS2 = 6.0, 3.0, 5.0  # the last two are comfortable
+JAM_GAP_M, TIME_GAP_S, EXPONENT = 10.0, 1.5, 4.0
+POLITENESS, LEAST_GAIN_MPS2, MOST_IMPOSED_MPS2, DELAY_S = 0.0, 0.2, 2.0, 1.0
+
 LOOKAHEAD_M, LOOKAHEAD_S = 10.0, 2.0  # a vehicle steers for the point of its lane so far ahead
 RADIUS_M = 10.0  # the least radius of a turn
 LEAST_MOVING_MPS = 1.0  # below it no lane is changed, as in highway-env
 BESIDE_M = 1.0  # a vehicle is on a lane if its centre is at most so far outside, as in highway-env
-
-
-class Rules(NamedTuple):
-    """The constants of `IDMVehicle`: m, s, m/s^2, as positive numbers."""
-
-    hardest: float
-    acceleration: float
-    braking: float
-    jam_gap: float
-    time_gap: float
-    exponent: float
-    politeness: float
-    gain: float
-    imposed: float
-    delay: float
-
-
-RULES = Rules(
-    hardest=6.0, acceleration=3.0, braking=5.0, jam_gap=10.0, time_gap=1.5, exponent=4.0, politeness=0.0, gain=0.2,
-    imposed=2.0, delay=1.0,
-)  # fmt: skip
 
 
 class Road(NamedTuple):
@@ -74,23 +58,23 @@ class Cars(NamedTuple):
 
 
 @part
-def following(speed: float, wanted: float, gap: float, closing: float, rules: Rules) -> float:
+def following(speed: float, wanted: float, gap: float, closing: float) -> float:
     """Return the acceleration (m/s^2) of the IDM at a speed, with `gap` m to the vehicle ahead (inf: none), closing in
     on it by `closing` m/s.
     """
-    free: float = rules.acceleration * (1.0 - (max(speed, 0.0) / max(wanted, 0.01)) ** rules.exponent)
+    free: float = ACCELERATION_MPS2 * (1.0 - (max(speed, 0.0) / max(wanted, 0.01)) ** EXPONENT)
     if gap == np.inf:
         return free
-    desired = wanted_gap(speed, closing, rules)
+    desired = wanted_gap(speed, closing)
     share = desired / max(gap, 0.01)
-    return free - rules.acceleration * share * share
+    return free - ACCELERATION_MPS2 * share * share
 
 
 @part
-def wanted_gap(speed: float, closing: float, rules: Rules) -> float:
+def wanted_gap(speed: float, closing: float) -> float:
     """Return the gap (m) that the IDM wants."""
-    dynamic: float = speed * closing / (2.0 * np.sqrt(rules.acceleration * rules.braking))
-    return rules.jam_gap + speed * rules.time_gap + dynamic
+    dynamic: float = speed * closing / (2.0 * np.sqrt(ACCELERATION_MPS2 * BRAKING_MPS2))
+    return JAM_GAP_M + speed * TIME_GAP_S + dynamic
 
 
 @part
@@ -116,7 +100,7 @@ def _neighbours(cars: Cars, i: int, side: float, road: Road) -> tuple[int, int]:
 
 
 @part
-def _follow(cars: Cars, i: int, j: int, road: Road, rules: Rules) -> float:
+def _follow(cars: Cars, i: int, j: int, road: Road) -> float:
     """Return the acceleration of i if it followed j; -1: nobody. highway-env's distances are from centre to centre, of
     vehicles of 5 m each: so is the gap here, with the lengths made good."""
     if i < 0:
@@ -124,23 +108,23 @@ def _follow(cars: Cars, i: int, j: int, road: Road, rules: Rules) -> float:
     cell = int(cars.along[i] / road.length * len(road.limit))
     wanted = min(cars.wanted[i], road.limit[min(cell, len(road.limit) - 1)])
     if j < 0:
-        return following(cars.speed[i], wanted, np.inf, 0.0, rules)
+        return following(cars.speed[i], wanted, np.inf, 0.0)
     gap = ahead_by(cars, i, j, road) + 5.0 - 0.5 * (cars.size[i] + cars.size[j])
-    return following(cars.speed[i], wanted, gap, cars.speed[i] - cars.speed[j], rules)
+    return following(cars.speed[i], wanted, gap, cars.speed[i] - cars.speed[j])
 
 
 @part
-def is_better(cars: Cars, i: int, lane: int, road: Road, rules: Rules) -> bool:
+def is_better(cars: Cars, i: int, lane: int, road: Road) -> bool:
     """Return whether MOBIL recommends that vehicle i changes to a lane."""
     ahead, behind = _neighbours(cars, i, road.lanes[lane], road)
-    behind_then = _follow(cars, behind, i, road, rules)
-    if behind_then < -rules.imposed:
+    behind_then = _follow(cars, behind, i, road)
+    if behind_then < -MOST_IMPOSED_MPS2:
         return False
     old_ahead, old_behind = _neighbours(cars, i, road.lanes[nearest_lane(cars.side[i], road)], road)
-    gain = _follow(cars, i, ahead, road, rules) - _follow(cars, i, old_ahead, road, rules)
-    others = behind_then - _follow(cars, behind, ahead, road, rules)
-    others += _follow(cars, old_behind, old_ahead, road, rules) - _follow(cars, old_behind, i, road, rules)
-    return gain + rules.politeness * others >= rules.gain
+    gain = _follow(cars, i, ahead, road) - _follow(cars, i, old_ahead, road)
+    others = behind_then - _follow(cars, behind, ahead, road)
+    others += _follow(cars, old_behind, old_ahead, road) - _follow(cars, old_behind, i, road)
+    return gain + POLITENESS * others >= LEAST_GAIN_MPS2
 
 
 @part
@@ -150,37 +134,33 @@ def nearest_lane(side: float, road: Road) -> int:
 
 
 @part
-def _choose_lane(cars: Cars, i: int, road: Road, rules: Rules) -> None:
+def _choose_lane(cars: Cars, i: int, road: Road) -> None:
     """Begin to change lanes, or give it up where somebody ahead changes to the same lane."""
     lane, wanted = nearest_lane(cars.side[i], road), cars.lane[i]
     if lane != wanted:
         for j in range(len(cars.along)):
             if j != i and cars.lane[j] == wanted and nearest_lane(cars.side[j], road) != wanted:
                 distance = ahead_by(cars, i, j, road)
-                if 0.0 < distance < wanted_gap(cars.speed[i], cars.speed[i] - cars.speed[j], rules):
+                if 0.0 < distance < wanted_gap(cars.speed[i], cars.speed[i] - cars.speed[j]):
                     cars.lane[i] = lane
                     return
         return
-    if cars.timer[i] <= rules.delay:
+    if cars.timer[i] <= DELAY_S:
         return
     cars.timer[i] = 0.0
     for other in (lane - 1, lane + 1):
-        if (
-            0 <= other < len(road.lanes)
-            and cars.speed[i] >= LEAST_MOVING_MPS
-            and is_better(cars, i, other, road, rules)
-        ):
+        if 0 <= other < len(road.lanes) and cars.speed[i] >= LEAST_MOVING_MPS and is_better(cars, i, other, road):
             cars.lane[i] = other
 
 
 @part
-def _accelerate(cars: Cars, i: int, road: Road, rules: Rules) -> float:
+def _accelerate(cars: Cars, i: int, road: Road) -> float:
     """Return what vehicle i does on its lane, and on the one that it changes to."""
     lane = nearest_lane(cars.side[i], road)
-    least = _follow(cars, i, _neighbours(cars, i, road.lanes[lane], road)[0], road, rules)
+    least = _follow(cars, i, _neighbours(cars, i, road.lanes[lane], road)[0], road)
     if cars.lane[i] != lane:
-        least = min(least, _follow(cars, i, _neighbours(cars, i, road.lanes[cars.lane[i]], road)[0], road, rules))
-    return min(max(least, -rules.hardest), rules.hardest)
+        least = min(least, _follow(cars, i, _neighbours(cars, i, road.lanes[cars.lane[i]], road)[0], road))
+    return min(max(least, -HARDEST_MPS2), HARDEST_MPS2)
 
 
 @part
@@ -199,7 +179,7 @@ def _move(cars: Cars, i: int, acceleration: float, step_s: float, road: Road) ->
 
 
 @njit(cache=True)
-def drive_all(cars: Cars, ours: Floats, road: Road, rules: Rules, step_s: float, kept: int) -> Floats:
+def drive_all(cars: Cars, ours: Floats, road: Road, step_s: float, kept: int) -> Floats:
     """Return along (m), side (m) and heading (rad) (K, N - 1, 3) of all vehicles but the last, ours, which
     is (k, 2): along in m and speed in m/s at every step of `step_s`. Every `kept`-th step is returned.
     """
@@ -213,8 +193,8 @@ def drive_all(cars: Cars, ours: Floats, road: Road, rules: Rules, step_s: float,
             out[step // kept, :, 1] = cars.side[:others]
             out[step // kept, :, 2] = cars.heading[:others]
         for i in range(others):
-            _choose_lane(cars, i, road, rules)
-            wanted[i] = _accelerate(cars, i, road, rules)
+            _choose_lane(cars, i, road)
+            wanted[i] = _accelerate(cars, i, road)
         for i in range(others):
             _move(cars, i, wanted[i], step_s, road)
     return out

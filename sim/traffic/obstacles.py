@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cellslam.sim.described import Described
 from cellslam.sim.frames import azimuth_elevation
 from cellslam.sim.recording import Floats, Ints
-from cellslam.sim.traffic.traffic import LONGEST_STEP_M, Traffic
+from cellslam.sim.traffic.traffic import Traffic
 from cellslam.sim.traffic.traffic_config import KINDS
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def blocked_paths(
     corners[:, 0], corners[:, 1:3] = transmitters_m[paths.transmitter], paths.points_m
     corners[np.arange(len(paths)), points + 1] = receivers_m[paths.receiver]
     lines = Lines(traffic.steps(time_s)[paths.receiver], corners, points + 2, reflecting_vehicle(paths.facets))
-    pairs = blocking_pairs(lines, traffic.poses, LONGEST_STEP_M, traffic.size_m)
+    pairs = blocking_pairs(lines, traffic.poses, traffic.size_m)
     return Blocked(pairs[:, 0].copy(), pairs[:, 1].copy())
 
 
@@ -72,9 +72,7 @@ def reflected_paths(
     steps = traffic.steps(time_s)
     out = []
     for site, transmitter in enumerate(transmitters_m):
-        rows, point, normal = mirror_points(
-            transmitter, receivers_m, steps, traffic.poses, LONGEST_STEP_M, traffic.size_m, mirrors
-        )
+        rows, point, normal = mirror_points(transmitter, receivers_m, steps, traffic.poses, traffic.size_m, mirrors)
         free = scene.free(receivers_m[rows[:, 0]], point)
         free &= scene.free(point, np.broadcast_to(transmitter, point.shape))
         out.append(_described(site, transmitter, receivers_m, rows[free], point[free], normal[free], carrier_hz))

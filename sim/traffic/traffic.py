@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 from cellslam.sim.described import Described
 from cellslam.sim.recording import Floats, Recording
 
-LONGEST_STEP_M = 25.0
-"""A vehicle that is farther off than this after one step has left the lane's end and comes in at its beginning."""
-
 
 @dataclass(frozen=True, repr=False)
 class Traffic(Described):
@@ -35,7 +32,7 @@ class Traffic(Described):
 
         out = np.empty((len(time_s), len(self), 4))
         for row, step in zip(out, self.steps(time_s), strict=True):
-            place(self.poses, float(step), LONGEST_STEP_M, row)
+            place(self.poses, float(step), row)
         return out
 
     def steps(self, time_s: NDArray[np.floating[Any]]) -> Floats:

@@ -19,8 +19,6 @@ from cellslam.sim.vehicle.speed_profile import speed_profile
 from cellslam.sim.vehicle.vehicle_config import VehicleConfig
 
 LONGEST_SUBSTEP_S = 0.015
-LOOKAHEAD_M, LOOKAHEAD_S = 2.0, 0.8
-STEERING_LIMIT_RAD, STEERING_RATE_RADPS = 0.65, 0.5
 WAVES = 32
 
 
@@ -73,10 +71,7 @@ def _motion(
     from cellslam.sim.vehicle.follower_kernel import follow
 
     start = np.array([*route.points_m[0], route.heading_rad[0]])
-    plane, curvature = follow(
-        route.points_m, route.arc_m, start, speed_mps, step_s,
-        config.wheelbase_m, LOOKAHEAD_M, LOOKAHEAD_S, STEERING_LIMIT_RAD, STEERING_RATE_RADPS,
-    )  # fmt: skip
+    plane, curvature = follow(route.points_m, route.arc_m, start, speed_mps, step_s, config.wheelbase_m)
     arc_m = np.concatenate([[0.0], np.cumsum(speed_mps * step_s)])
     v = _at_edges(speed_mps)
     turn_rate = v * _at_edges(curvature)

@@ -8,17 +8,18 @@ from numpy.typing import NDArray
 from cellslam.sim.compiling import njit
 
 Floats = NDArray[np.float64]
+LOOKAHEAD_M, LOOKAHEAD_S = 2.0, 0.8
+STEERING_LIMIT_RAD, STEERING_RATE_RADPS = 0.65, 0.5
 
 
 @njit(cache=True)
 def follow(
-    path_m: Floats, arc_m: Floats, start: Floats, speed_mps: Floats, step_s: float, wheelbase_m: float,
-    lookahead_m: float, lookahead_s: float, steering_limit_rad: float, steering_rate_radps: float,
-) -> tuple[Floats, Floats]:  # fmt: skip
+    path_m: Floats, arc_m: Floats, start: Floats, speed_mps: Floats, step_s: float, wheelbase_m: float
+) -> tuple[Floats, Floats]:
     """Return rear-axle poses [x, y, yaw] (N + 1, 3), yaw unwrapped, and curvatures (N,) of the substeps.
 
     `path_m` (n, 2) with `arc_m` (n,); `start` [x, y, yaw]; `speed_mps` (N,). Pure pursuit (Coulter 1992): the
-    arc through the point of the path `lookahead_m + lookahead_s * speed` ahead of the nearest one. The foot
+    arc through the point of the path `LOOKAHEAD_M + LOOKAHEAD_S * speed` ahead of the nearest one. The foot
     point moves continuously along the path and the steering has a limited rate, so nothing chatters at
     walking pace; a standing vehicle keeps its wheels where they are.
     """
@@ -40,7 +41,7 @@ def follow(
                 near += 1
             ex, ey = path_m[near + 1, 0] - path_m[near, 0], path_m[near + 1, 1] - path_m[near, 1]
             part = ((x - path_m[near, 0]) * ex + (y - path_m[near, 1]) * ey) / (ex * ex + ey * ey)
-            target = arc_m[near] + part * (arc_m[near + 1] - arc_m[near]) + lookahead_m + lookahead_s * v
+            target = arc_m[near] + part * (arc_m[near + 1] - arc_m[near]) + LOOKAHEAD_M + LOOKAHEAD_S * v
             while far < last - 1 and arc_m[far + 1] < target:
                 far += 1
             # Beyond its end the path goes straight on.
@@ -49,8 +50,8 @@ def follow(
             dy = path_m[far, 1] + part * (path_m[far + 1, 1] - path_m[far, 1]) - y
             left = -np.sin(yaw) * dx + np.cos(yaw) * dy
             wanted = np.arctan(wheelbase_m * 2.0 * left / (dx * dx + dy * dy))
-            wanted = min(max(wanted, -steering_limit_rad), steering_limit_rad)
-            most = steering_rate_radps * step_s
+            wanted = min(max(wanted, -STEERING_LIMIT_RAD), STEERING_LIMIT_RAD)
+            most = STEERING_RATE_RADPS * step_s
             steering += min(max(wanted - steering, -most), most)
         curvature = np.tan(steering) / wheelbase_m
         turn = curvature * v * step_s

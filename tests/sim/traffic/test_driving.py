@@ -16,8 +16,9 @@ from cellslam.scenarios.loading import load
 from cellslam.sim.errors import InputError
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.traffic import Traffic, TrafficConfig
+from cellslam.sim.traffic import driving_kernel as k
 from cellslam.sim.traffic.driving import STEP_S, lanes_that_fit
-from cellslam.sim.traffic.driving_kernel import RADIUS_M, RULES, Cars, Road, drive_all, is_better, progress
+from cellslam.sim.traffic.driving_kernel import RADIUS_M, Cars, Road, drive_all, is_better, progress
 from cellslam.sim.vehicle import plan_route
 from cellslam.sim.world import prepare
 
@@ -51,12 +52,11 @@ def highway(some: Cars, lanes: int) -> list[Any]:
 
 
 def test_constants_are_those_of_highway_env() -> None:
-    theirs = IDMVehicle
-    assert RULES == (
-        theirs.ACC_MAX, theirs.COMFORT_ACC_MAX, -theirs.COMFORT_ACC_MIN, theirs.DISTANCE_WANTED, theirs.TIME_WANTED,
-        theirs.DELTA, theirs.POLITENESS, theirs.LANE_CHANGE_MIN_ACC_GAIN, theirs.LANE_CHANGE_MAX_BRAKING_IMPOSED,
-        theirs.LANE_CHANGE_DELAY,
-    )  # fmt: skip
+    one = IDMVehicle
+    following = one.ACC_MAX, one.COMFORT_ACC_MAX, -one.COMFORT_ACC_MIN, one.DISTANCE_WANTED, one.TIME_WANTED, one.DELTA
+    assert following == (k.HARDEST_MPS2, k.ACCELERATION_MPS2, k.BRAKING_MPS2, k.JAM_GAP_M, k.TIME_GAP_S, k.EXPONENT)
+    changing = one.POLITENESS, one.LANE_CHANGE_MIN_ACC_GAIN, one.LANE_CHANGE_MAX_BRAKING_IMPOSED, one.LANE_CHANGE_DELAY
+    assert changing == (k.POLITENESS, k.LEAST_GAIN_MPS2, k.MOST_IMPOSED_MPS2, k.DELAY_S)
 
 
 def test_lanes_are_changed_when_highway_env_changes_them() -> None:
@@ -72,7 +72,7 @@ def test_lanes_are_changed_when_highway_env_changes_them() -> None:
             for other in (lane[i] - 1, lane[i] + 1):
                 if 0 <= other < 3:
                     expected = theirs[i].mobil(("0", "1", int(other)))
-                    assert is_better(some, i, int(other), road(3), RULES) == expected
+                    assert is_better(some, i, int(other), road(3)) == expected
                     yes += expected
     assert yes > 50
 
@@ -84,7 +84,7 @@ def test_vehicles_follow_as_those_of_highway_env() -> None:
     theirs = highway(some, 1)
     step_s = 0.05
     ours = np.column_stack([330.0 + 5.0 * step_s * np.arange(count + 1), np.full(count + 1, 5.0)])
-    states = drive_all(some, ours, road(1), RULES, step_s, 1)
+    states = drive_all(some, ours, road(1), step_s, 1)
     theirs[-1].target_speed = 5.0
     worst = 0.0
     for t in range(count):
@@ -108,7 +108,7 @@ def test_a_queue_stands_still() -> None:
     # Ours stands for 40 s, creeps at 0.3 m/s for 40 s, and stands.
     speed = np.where((np.arange(count) >= 400) & (np.arange(count) < 800), 0.3, 0.0)
     ours = np.column_stack([300.0 + STEP_S * np.append(0.0, np.cumsum(speed))[:count], speed])
-    states = drive_all(some, ours, road(1), RULES, STEP_S, 1)
+    states = drive_all(some, ours, road(1), STEP_S, 1)
     moved = np.diff(states[..., 0], axis=0)
     assert moved.min() >= 0.0
     for standing in (moved[300:400], moved[1100:]):
@@ -128,7 +128,7 @@ def test_a_queue_stands_still() -> None:
 @pytest.mark.parametrize("size_m", [5.0, 12.0])
 def test_vehicles_stop_five_metres_behind_another(size_m: float) -> None:
     some = cars(np.array([200.0, 300.0]), np.zeros(2, int), np.array([8.0, 0.0]), np.full(2, 8.0), size_m)
-    states = drive_all(some, np.tile([300.0, 0.0], (600, 1)), road(1), RULES, STEP_S, 1)
+    states = drive_all(some, np.tile([300.0, 0.0], (600, 1)), road(1), STEP_S, 1)
     assert 300.0 - states[-1, 0, 0] - size_m == pytest.approx(5.0, abs=0.7)
 
 

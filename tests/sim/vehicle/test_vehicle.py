@@ -91,9 +91,7 @@ def test_follower_converges_without_chatter(speed_mps: float) -> None:
     """From a metre beside a straight path: the steering changes sides a few times at most, and then stays still."""
     path = np.column_stack([np.arange(0.0, 400.0, 0.1), np.zeros(4000)])
     speed = np.full(int(max(40.0 / speed_mps, 30.0) / 0.015), speed_mps)
-    poses, curvature = follow(
-        path, path[:, 0].copy(), np.array([0.0, 1.0, 0.0]), speed, 0.015, 2.9, 2.0, 0.8, 0.65, 0.5
-    )
+    poses, curvature = follow(path, path[:, 0].copy(), np.array([0.0, 1.0, 0.0]), speed, 0.015, 2.9)
     assert abs(poses[-1, 1]) < 0.01 and poses[:, 1].min() > -0.12
     assert np.count_nonzero(np.diff(np.sign(curvature[np.abs(curvature) > 1e-6]))) <= 4
     tail = curvature[len(curvature) // 2 :]
