@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from highway_env.vehicle.behavior import IDMVehicle
 from numpy.typing import NDArray
 
 from cellslam.sim.compiling import njit, part
@@ -17,10 +18,17 @@ from cellslam.sim.compiling import njit, part
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# The constants of `IDMVehicle`, as positive numbers: of following, then of changing lanes.
-HARDEST_MPS2, ACCELERATION_MPS2, BRAKING_MPS2 = 6.0, 3.0, 5.0  # the last two are comfortable
-JAM_GAP_M, TIME_GAP_S, EXPONENT = 10.0, 1.5, 4.0
-POLITENESS, LEAST_GAIN_MPS2, MOST_IMPOSED_MPS2, DELAY_S = 0.0, 0.2, 2.0, 1.0
+# highway-env's constants, as positive numbers: of following, then of changing lanes.
+HARDEST_MPS2: float = IDMVehicle.ACC_MAX
+ACCELERATION_MPS2: float = IDMVehicle.COMFORT_ACC_MAX
+BRAKING_MPS2: float = -IDMVehicle.COMFORT_ACC_MIN
+JAM_GAP_M: float = IDMVehicle.DISTANCE_WANTED
+TIME_GAP_S: float = IDMVehicle.TIME_WANTED
+EXPONENT: float = IDMVehicle.DELTA
+POLITENESS: float = IDMVehicle.POLITENESS
+LEAST_GAIN_MPS2: float = IDMVehicle.LANE_CHANGE_MIN_ACC_GAIN
+MOST_IMPOSED_MPS2: float = IDMVehicle.LANE_CHANGE_MAX_BRAKING_IMPOSED
+DELAY_S: float = IDMVehicle.LANE_CHANGE_DELAY
 
 LOOKAHEAD_M, LOOKAHEAD_S = 10.0, 2.0  # a vehicle steers for the point of its lane so far ahead
 RADIUS_M = 10.0  # the least radius of a turn

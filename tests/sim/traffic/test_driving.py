@@ -16,7 +16,6 @@ from cellslam.scenarios.loading import load
 from cellslam.sim.errors import InputError
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.traffic import Traffic, TrafficConfig
-from cellslam.sim.traffic import driving_kernel as k
 from cellslam.sim.traffic.driving import STEP_S, lanes_that_fit
 from cellslam.sim.traffic.driving_kernel import RADIUS_M, Cars, Road, drive_all, is_better, progress
 from cellslam.sim.vehicle import plan_route
@@ -49,14 +48,6 @@ def highway(some: Cars, lanes: int) -> list[Any]:
         for i in range(len(some.along))
     ]
     return there.vehicles
-
-
-def test_constants_are_those_of_highway_env() -> None:
-    one = IDMVehicle
-    following = one.ACC_MAX, one.COMFORT_ACC_MAX, -one.COMFORT_ACC_MIN, one.DISTANCE_WANTED, one.TIME_WANTED, one.DELTA
-    assert following == (k.HARDEST_MPS2, k.ACCELERATION_MPS2, k.BRAKING_MPS2, k.JAM_GAP_M, k.TIME_GAP_S, k.EXPONENT)
-    changing = one.POLITENESS, one.LANE_CHANGE_MIN_ACC_GAIN, one.LANE_CHANGE_MAX_BRAKING_IMPOSED, one.LANE_CHANGE_DELAY
-    assert changing == (k.POLITENESS, k.LEAST_GAIN_MPS2, k.MOST_IMPOSED_MPS2, k.DELAY_S)
 
 
 def test_lanes_are_changed_when_highway_env_changes_them() -> None:
