@@ -29,11 +29,6 @@ SHAPES = {
     "covariance_m2": "T3", "heading_error_rad": "T", "heading_std_rad": "T", "map_error_m": "K", "map_bound_m": "K",
     "map_times_seen": "K",
 }  # fmt: skip
-# Not in files of before.
-LATER = (
-    *("horizontal_m", "covariance_m2", "heading_error_rad", "heading_std_rad"),
-    *("map_error_m", "map_bound_m", "map_times_seen"),
-)
 
 
 @dataclass(frozen=True)
@@ -84,8 +79,8 @@ def trajectory(recording: Recording, result: TrialResult, limit: BoundResult | N
     truth, empty = recording.truth, np.empty(0)
     offset, variance = result.clock_offset_m, result.clock_offset_variance_m2
     scored = Scored(recording, result, limit)
-    elapsed_s, vts, errors = recording.elapsed_s, result.vts, scored.errors
-    known = truth is not None
+    elapsed_s, vts = recording.elapsed_s, result.vts
+    errors = NO_ERRORS if truth is None else scored.errors
 
     def single(column: Any) -> Singles:
         return np.asarray(column, np.float32)
@@ -93,8 +88,8 @@ def trajectory(recording: Recording, result: TrialResult, limit: BoundResult | N
     return Trajectory(
         time_s=single(elapsed_s),
         poses=single(result.poses),
-        error_m=single(errors.position if known else empty),
-        nees=single(errors.squared if known else empty),
+        error_m=single(errors.position),
+        nees=single(errors.squared),
         std_m=single(result.position_std_m),
         bound_std_m=single(empty if limit is None else limit.horizontal_std_m),
         offset_error_m=single(empty if truth is None or offset is None else offset - truth.clock_offsets_at(elapsed_s)),
@@ -103,10 +98,10 @@ def trajectory(recording: Recording, result: TrialResult, limit: BoundResult | N
         vt_link=np.asarray(empty if vts is None else vts.link, np.int32),
         vt_first=_first_associated(recording, result).astype(np.int32),
         vt_nees=single(_vt_nees(recording, result)),
-        horizontal_m=single(errors.horizontal if known else empty),
-        covariance_m2=single(errors.covariance.reshape(-1, 4)[:, [0, 1, 3]] if known else empty),
-        heading_error_rad=single(errors.heading if known else empty),
-        heading_std_rad=single(np.sqrt(np.maximum(errors.heading_variance, 0.0)) if known else empty),
+        horizontal_m=single(errors.horizontal),
+        covariance_m2=single(errors.covariance.reshape(-1, 4)[:, [0, 1, 3]]),
+        heading_error_rad=single(errors.heading),
+        heading_std_rad=single(np.sqrt(np.maximum(errors.heading_variance, 0.0))),
         map_error_m=single(scored.mapped[0]),
         map_bound_m=single(scored.mapped[1]),
         map_times_seen=scored.mapped[2].astype(np.int32),
@@ -123,11 +118,10 @@ def pack(kept: Trajectory) -> bytes:
 def unpack(path: Path) -> Trajectory:
     """Return the trajectory of a file. Raises InputError when it cannot be read."""
     try:
-        held = arrays_of(path)
-        held = {name: np.empty(0, np.float32) for name in LATER} | dict(held)
+        held = dict.fromkeys(SHAPES, np.empty(0, np.float32)) | arrays_of(path)  # older files lack some columns
         _check_shapes(held)
         return Trajectory(**{name: held[name] for name in SHAPES})
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{path}: not a trajectory file ({' '.join(str(error).split())})") from error
 
 
