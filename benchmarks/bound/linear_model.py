@@ -12,6 +12,7 @@ bound computation for deterministic nonlinear systems", IEEE Trans. Automatic Co
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -163,15 +164,15 @@ def linear_model(
 
 def core_of(model: OdometryModel, sites: Sites) -> Core:
     """Return the layout of the core: only errors that the data sheets have become states."""
+    free = itertools.count(6)
 
-    def numbered(there: Flags, first: int) -> Ints:
-        return np.where(there, first + np.cumsum(there) - 1, -1).astype(np.int64)
+    def numbered(there: Flags) -> Ints:
+        return np.array([next(free) if one else -1 for one in there], np.int64)
 
-    bias = numbered((model.bias > 0) | (model.bias_walk_density > 0), 6)
-    scale = numbered(model.scale > 0, max(5, bias.max()) + 1)
-    rate = numbered((sites.drift_std_m_s > 0) | (sites.walk_densities[1] > 0), int(max(5, bias.max(), scale.max())) + 1)
-    first = int(max(5, bias.max(), scale.max(), rate.max(initial=0))) + 1
-    return Core(bias, scale, rate, first + np.arange(len(sites)), first + len(sites))
+    bias = numbered((model.bias > 0) | (model.bias_walk_density > 0))
+    scale = numbered(model.scale > 0)
+    rate = numbered((sites.drift_std_m_s > 0) | (sites.walk_densities[1] > 0))
+    return Core(bias, scale, rate, numbered(np.ones(len(sites), np.bool_)), next(free))
 
 
 def motion_of(recording: Recording, truth: Truth, core: Core) -> Motion:

@@ -14,20 +14,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cellslam.benchmarks.figures.style import Drawing, context, estimator_styles
+from cellslam.benchmarks.figures.sweep import sweep_data
 from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
 from cellslam.benchmarks.figures.sweep.stanford_diagram import draw_stanford
-from cellslam.benchmarks.figures.sweep.sweep_data import (
-    CurveChoice,
-    Series,
-    SweepData,
-    curve_keys,
-    load,
-    shown,
-    sweep_lines,
-    verdicts_of,
-)
+from cellslam.benchmarks.figures.sweep.sweep_data import Series, SweepData, shown
 from cellslam.benchmarks.report.scene import rounded
-from cellslam.benchmarks.report.worst_trials import Choice, failed_trials, trial_sections, worst_trials
+from cellslam.benchmarks.report.worst_trials import Choice, failed_trials, trial_sections, worlds, worst_trials
 from cellslam.benchmarks.scores.metrics import METRIC, METRIC_KEYS
 from cellslam.benchmarks.scores.statistics import LEAST_VALUES
 from cellslam.benchmarks.sweeps.rows import oracles, provenance
@@ -50,7 +42,7 @@ WITHOUT_INTERVALS = f"No confidence intervals: they need {LEAST_VALUES} trials."
 
 def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
     """Return everything that the page shows. Raises InputError."""
-    data = load(folder)
+    data = sweep_data.load(folder)
     chosen = worst_trials(data, choice)
     named = {series.label: series.estimator for panel in data.panels for series in panel.series}
     marked = oracles(folder)
@@ -134,7 +126,7 @@ def _cell(one: Series, column: Column) -> list[float | None] | None:
 
 def _ranks(data: SweepData) -> dict[str, Any] | None:
     """Return the diagram of mean ranks, and how many pairs of each panel differ."""
-    judged = verdicts_of(data)
+    judged = sweep_data.verdicts_of(data)
     image = _image(lambda figure: draw_ranks(figure, judged))
     if image is None:
         return None
@@ -156,8 +148,8 @@ def _image(drawing: Drawing) -> str | None:
 def _curves(data: SweepData) -> list[dict[str, Any]]:
     """Return for each numeric key that varies its lines: the median with its interval, of every metric."""
     out = []
-    for key in (key for key, is_number in curve_keys(data).items() if is_number):
-        lines, named = [], sweep_lines(data, key)
+    for key in (key for key, is_number in sweep_data.curve_keys(data).items() if is_number):
+        lines, named = [], sweep_data.sweep_lines(data, key)
         styles = estimator_styles(named)
         for name, points in named.items():
             style = {"colour": styles[name]["color"], "dash": DASHES[styles[name]["linestyle"]]}
@@ -175,7 +167,7 @@ def _curves(data: SweepData) -> list[dict[str, Any]]:
 
 def _line(found: Sequence[tuple[float | None, Any]], digits: int) -> list[list[float | None]]:
     """Return x, median, low and high of one line; x None: the same at every x."""
-    columns = np.stack([CurveChoice().summed(values) for _, values in found], axis=1)
+    columns = np.stack([sweep_data.CurveChoice().summed(values) for _, values in found], axis=1)
     return [[x for x, _ in found], *(rounded(column, digits) for column in columns)]
 
 
@@ -199,7 +191,7 @@ def _distributions(data: SweepData) -> list[dict[str, Any]]:
 
 def _provenance(folder: Path, data: SweepData) -> dict[str, Any]:
     rows = [one.rows for panel in data.panels for one in panel.series]
-    worlds, options = resolved(folder)
+    resolved = worlds(folder)
     counts: dict[str, Any] = {
         "rows": sum(map(len, rows)),
         "seeds": sorted({int(seed) for frame in rows for seed in frame["seed"]}),
@@ -207,21 +199,16 @@ def _provenance(folder: Path, data: SweepData) -> dict[str, Any]:
     }
     counts["trials"] = [counts["trials"][0], counts["trials"][-1]]
     return {
-        "runs": provenance(folder), **counts, "worlds": worlds[:MOST_PANELS], "more_worlds": len(worlds[MOST_PANELS:]),
-        "options": options, "cellslam": version("cellslam"),
+        "runs": provenance(folder), **counts, "worlds": resolved[:MOST_PANELS],
+        "more_worlds": len(resolved[MOST_PANELS:]), "options": _options(folder), "cellslam": version("cellslam"),
     }  # fmt: skip
 
 
-def resolved(folder: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the resolved worlds of a store, and the options of each estimator in it."""
+def _options(folder: Path) -> list[dict[str, Any]]:
+    """Return the options of each estimator in a store."""
+    query = "SELECT DISTINCT estimator, tables FROM rows JOIN options ON id = options ORDER BY estimator, tables"
     with reading(folder) as database:
-        worlds = [json.loads(t) for (t,) in database.execute("SELECT tables FROM worlds ORDER BY id")]
-        query = (
-            "SELECT DISTINCT r.estimator, o.tables FROM rows r JOIN options o ON o.id = r.options "
-            "ORDER BY r.estimator, o.tables"
-        )
-        options = [{"estimator": name, "options": json.loads(t)} for name, t in database.execute(query)]
-    return worlds, options
+        return [{"estimator": name, "options": json.loads(t)} for name, t in database.execute(query)]
 
 
 def _heading(metric: str, text: str) -> dict[str, str]:

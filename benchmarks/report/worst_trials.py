@@ -70,19 +70,22 @@ def worst_trials(data: SweepData, choice: Choice) -> list[Worst]:
             raise unknown_name("estimator", name, known)
     out: list[Worst] = []
     for name in choice.estimators or _best(data, choice.metric):
-        sign = -1.0 if METRIC[choice.metric].rising else 1.0
         found = [w for panel in data.panels for one in panel.series for w in _trials(panel, one, name, choice.metric)]
-        found.sort(key=lambda worst: (-sign * worst.value, worst.trial))
+        found.sort(key=lambda worst: (-_badness(worst.value, choice.metric), worst.trial))
         out += _distinct(found, choice.worst)
     return out
+
+
+def worlds(folder: Path) -> list[dict[str, Any]]:
+    """Return the resolved worlds of a store."""
+    with reading(folder) as database:
+        return [json.loads(text) for (text,) in database.execute("SELECT tables FROM worlds ORDER BY id")]
 
 
 def load_code(folder: Path) -> None:
     """Import the code that the worlds of a store name (as waveforms and path losses), and let their files be
     read. Raises InputError."""
-    with reading(folder) as database:
-        worlds = [json.loads(text) for (text,) in database.execute("SELECT tables FROM worlds")]
-    for radio in (world["radio"] for world in worlds if "radio" in world):
+    for radio in (world["radio"] for world in worlds(folder) if "radio" in world):
         for key, name in RadioConfig(**radio).unasked().items():
             allow(key, name)
 
@@ -106,8 +109,11 @@ def _best(data: SweepData, metric: str) -> list[str]:
     medians = {name: float(np.median(v)) for name, v in values.items() if v}
     marked = {*oracles(data.folder), "dead-reckoning"}
     plain = {name: value for name, value in medians.items() if name not in marked} or medians
-    sign = -1.0 if METRIC[metric].rising else 1.0
-    return sorted(plain, key=lambda name: sign * plain[name])[:1]
+    return sorted(plain, key=lambda name: _badness(plain[name], metric))[:1]
+
+
+def _badness(value: float, metric: str) -> float:
+    return -value if METRIC[metric].rising else value
 
 
 def _trials(panel: Panel, one: Series, name: str, metric: str) -> list[Worst]:

@@ -10,7 +10,7 @@ left together.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -84,14 +84,8 @@ class Before:
 class _Hashed:
     """A value that is the same as another one if its text is."""
 
-    value: Any
+    value: Any = field(compare=False)
     text: str
-
-    def __hash__(self) -> int:
-        return hash(self.text)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Hashed) and self.text == other.text
 
 
 @lru_cache(maxsize=8)
