@@ -99,9 +99,9 @@ def _summary(data: SweepData) -> dict[str, Any]:
     for panel in data.panels:
         for one in panel.series:
             cells = [_cell(one, column) for column in COLUMNS]
-            ok = int((one.rows["status"] == "ok").sum())
+            counts = {"ok": len(one.ok), "all": len(one.rows)}
             settings = [_setting(one.settings.get(key)) for key in keys]
-            lines.append({"settings": settings, "label": one.label, "cells": cells, "ok": ok, "all": len(one.rows)})
+            lines.append({"settings": settings, "label": one.label, "cells": cells, **counts})
     headings = []
     for column in COLUMNS:
         over = "" if column.metric in RATIOS else f"; {column.statistic} over trials"
@@ -118,8 +118,7 @@ def _summary(data: SweepData) -> dict[str, Any]:
 
 def _cell(one: Series, column: Column) -> list[float | None] | None:
     """Return value and ends of the interval; None where no trial has the metric."""
-    fine = one.rows[one.rows["status"] == "ok"]
-    found = estimate(fine, column.metric, column.statistic, CONFIDENCE if column.interval else None)
+    found = estimate(one.ok, column.metric, column.statistic, CONFIDENCE if column.interval else None)
     digits = METRIC[column.metric].digits + (MORE_DIGITS if column.metric not in RATIOS else 0)
     return None if np.isnan(found[0]) else list(rounded(found, digits))
 
@@ -177,13 +176,12 @@ def _distributions(data: SweepData) -> list[dict[str, Any]]:
     for panel in data.panels[:MOST_PANELS]:
         series = []
         for one in panel.series:
-            fine = one.rows[one.rows["status"] == "ok"]
             columns = {
-                metric: rounded(np.asarray(fine[metric], np.float64), known.digits + MORE_DIGITS)
+                metric: rounded(np.asarray(one.ok[metric], np.float64), known.digits + MORE_DIGITS)
                 for metric, known in PLOTTED.items()
             }
             kept = {metric: column for metric, column in columns.items() if any(v is not None for v in column)}
-            names = [f"trial {trial}, seed {seed}" for trial, seed in zip(fine["trial"], fine["seed"], strict=True)]
+            names = [f"trial {trial}, seed {seed}" for trial, seed in one.ok[["trial", "seed"]].itertuples(index=False)]
             series.append({"label": one.label, "all": len(one.rows), "names": names, "values": kept})
         out.append({"title": panel.title or "all trials", "series": series})
     return out

@@ -70,7 +70,8 @@ def worst_trials(data: SweepData, choice: Choice) -> list[Worst]:
             raise unknown_name("estimator", name, known)
     out: list[Worst] = []
     for name in choice.estimators or _best(data, choice.metric):
-        found = [w for panel in data.panels for one in panel.series for w in _trials(panel, one, name, choice.metric)]
+        series = [(panel, one) for panel in data.panels for one in panel.series if one.estimator == name]
+        found = [worst for panel, one in series for worst in _trials(panel, one, choice.metric)]
         found.sort(key=lambda worst: (-_badness(worst.value, choice.metric), worst.trial))
         out += _distinct(found, choice.worst)
     return out
@@ -116,9 +117,8 @@ def _badness(value: float, metric: str) -> float:
     return -value if METRIC[metric].rising else value
 
 
-def _trials(panel: Panel, one: Series, name: str, metric: str) -> list[Worst]:
-    fine = one.rows[(one.rows["status"] == "ok") & (one.rows["estimator"] == name)]
-    rows = zip(fine["trial"], fine["seed"], fine[metric].astype(float), strict=True)
+def _trials(panel: Panel, one: Series, metric: str) -> list[Worst]:
+    rows = one.ok[["trial", "seed", metric]].astype({metric: float}).itertuples(index=False)
     return [Worst(panel, one.label, int(t), int(s), float(v)) for t, s, v in rows if np.isfinite(v)]
 
 

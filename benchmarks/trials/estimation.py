@@ -133,15 +133,18 @@ def answers(setup: Setup, steps: Iterable[Step], request: Request, rng: np.rando
             raise
         yield Answer(seconds, columns)
     begin = time.perf_counter()
-    final = estimator.finish() if callable(getattr(estimator, "finish", None)) else None
+    final = _optional(estimator, "finish")
     seconds += time.perf_counter() - begin
     columns = {} if final is None else {"finish": numbers("finish(): poses", final)}
-    calibration = getattr(estimator, "calibration", None)
-    columns |= plain_calibration(calibration()) if callable(calibration) else {}
-    remarks = getattr(estimator, "remarks", None)
-    lines = plain_remarks(remarks()) if callable(remarks) else ()
-    left = estimator.vt_map() if callable(getattr(estimator, "vt_map", None)) else None
+    columns |= plain_calibration(_optional(estimator, "calibration"))
+    lines, left = plain_remarks(_optional(estimator, "remarks", ())), _optional(estimator, "vt_map")
     yield Answer(seconds, columns, lines, memory.grown_mb(before), left)
+
+
+def _optional(estimator: Any, method: str, otherwise: Any = None) -> Any:
+    """Return what a method of an estimator returns that need not be there."""
+    found = getattr(estimator, method, None)
+    return found() if callable(found) else otherwise
 
 
 def collected(

@@ -71,9 +71,14 @@ class Series:
         """The estimator's name."""
         return str(self.rows["estimator"].iloc[0])
 
+    @property
+    def ok(self) -> pd.DataFrame:
+        """The rows of the trials that did not fail."""
+        return self.rows[self.rows["status"] == "ok"]
+
     def values(self, metric: str) -> Floats:
         """Return a metric's values (n,), in the metric's units, in the n trials that are ok and have it."""
-        return finite(self.rows.loc[self.rows["status"] == "ok", metric])
+        return finite(self.ok[metric])
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +104,7 @@ class SweepData:
 
     def drives(self, series: Series) -> Iterator[Trajectory]:
         """Yield the trajectories of a series that are kept, two hundred at the most."""
-        ok = series.rows.loc[series.rows["status"] == "ok", "key"].tolist()[:MOST_TRAJECTORIES]
-        kept = (trajectory_of(self.folder, key) for key in ok)
+        kept = (trajectory_of(self.folder, key) for key in series.ok["key"].tolist()[:MOST_TRAJECTORIES])
         yield from (trajectory for trajectory in kept if trajectory is not None)
 
     def over_time(self, series: Series, column: str) -> tuple[Floats, Floats] | None:
