@@ -44,10 +44,10 @@ def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
     """Return everything that the page shows. Raises InputError."""
     data = sweep_data.load(folder)
     chosen = worst_trials(data, choice)
-    named = {series.label: series.estimator for panel in data.panels for series in panel.series}
+    named = {series.label: series.estimator for series in data.series}
     marked = oracles(folder)
     styles = estimator_styles(data.labels)
-    scenarios = sorted({str(s) for panel in data.panels for one in panel.series for s in one.rows["scenario"]})
+    scenarios = sorted({str(scenario) for one in data.series for scenario in one.rows["scenario"]})
     sections, cities = trial_sections(folder, data, chosen, progress)
     single = len(data.panels) == 1 and all(len(one.rows) == 1 for one in data.panels[0].series)
     return {
@@ -94,14 +94,13 @@ def _who_did_best(series: Sequence[Series], marked: Collection[str]) -> str | No
 
 def _summary(data: SweepData) -> dict[str, Any]:
     """Return the table: a line a panel and series, each value with its interval."""
-    keys = list(data.panels[0].series[0].settings)
+    keys = list(data.series[0].settings)
     lines: list[dict[str, Any]] = []
-    for panel in data.panels:
-        for one in panel.series:
-            cells = [_cell(one, column) for column in COLUMNS]
-            counts = {"ok": len(one.ok), "all": len(one.rows)}
-            settings = [_setting(one.settings.get(key)) for key in keys]
-            lines.append({"settings": settings, "label": one.label, "cells": cells, **counts})
+    for one in data.series:
+        cells = [_cell(one, column) for column in COLUMNS]
+        counts = {"ok": len(one.ok), "all": len(one.rows)}
+        settings = [_setting(one.settings.get(key)) for key in keys]
+        lines.append({"settings": settings, "label": one.label, "cells": cells, **counts})
     headings = []
     for column in COLUMNS:
         over = "" if column.metric in RATIOS else f"; {column.statistic} over trials"
@@ -188,16 +187,11 @@ def _distributions(data: SweepData) -> list[dict[str, Any]]:
 
 
 def _provenance(folder: Path, data: SweepData) -> dict[str, Any]:
-    rows = [one.rows for panel in data.panels for one in panel.series]
+    seeds, trials = ({int(n) for one in data.series for n in one.rows[key]} for key in ("seed", "trial"))
     resolved = worlds(folder)
-    counts: dict[str, Any] = {
-        "rows": sum(map(len, rows)),
-        "seeds": sorted({int(seed) for frame in rows for seed in frame["seed"]}),
-        "trials": sorted({int(trial) for frame in rows for trial in frame["trial"]}),
-    }
-    counts["trials"] = [counts["trials"][0], counts["trials"][-1]]
     return {
-        "runs": provenance(folder), **counts, "worlds": resolved[:MOST_PANELS],
+        "runs": provenance(folder), "rows": sum(len(one.rows) for one in data.series), "seeds": sorted(seeds),
+        "trials": [min(trials), max(trials)], "worlds": resolved[:MOST_PANELS],
         "more_worlds": len(resolved[MOST_PANELS:]), "options": _options(folder), "cellslam": version("cellslam"),
     }  # fmt: skip
 

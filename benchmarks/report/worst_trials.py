@@ -64,7 +64,7 @@ def worst_trials(data: SweepData, choice: Choice) -> list[Worst]:
     metrics_of(Layout(metrics=(choice.metric,)))
     if not 0 <= choice.worst <= MOST_WORST:
         raise InputError(f"--worst {choice.worst}: must be 0 to {MOST_WORST}")
-    known = {str(name) for panel in data.panels for one in panel.series for name in one.rows["estimator"]}
+    known = {one.estimator for one in data.series}
     for name in choice.estimators:
         if name not in known:
             raise unknown_name("estimator", name, known)
@@ -104,9 +104,8 @@ def failed_trials(folder: Path) -> dict[str, Any]:
 def _best(data: SweepData, metric: str) -> list[str]:
     """Return the estimator with the lowest median; dead reckoning or an oracle only where there is nothing else."""
     values: dict[str, list[float]] = {}
-    for panel in data.panels:
-        for one in panel.series:
-            values.setdefault(one.estimator, []).extend(one.values(metric).tolist())
+    for one in data.series:
+        values.setdefault(one.estimator, []).extend(one.values(metric).tolist())
     medians = {name: float(np.median(v)) for name, v in values.items() if v}
     marked = {*oracles(data.folder), "dead-reckoning"}
     plain = {name: value for name, value in medians.items() if name not in marked} or medians

@@ -96,12 +96,13 @@ def estimate(
     progress: Progress = silent,
     known: VtMap | None = None,
 ) -> TrialResult:
-    """Return what the requested estimator, driven in this process, says about a recording; `known`: the map that it
-    begins with.
+    """Return what the requested estimator, compiled and driven in this process, says about a recording; `known`: the
+    map that it begins with.
 
     `estimate_seconds` covers start, steps and finish alone, `peak_memory_mb` what is kept of the answers too. Raises
     BadAnswerError, or whatever the estimator raises, with the snapshot added to its notes.
     """
+    warm_up(request, progress)
     setup = setup_of(recording, request.oracle, known, requires_future(request))
     return collected(recording, request, answers(setup, steps_of(recording), request, rng), progress)
 

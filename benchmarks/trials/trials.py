@@ -15,14 +15,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from cellslam.benchmarks.scores import metrics
 from cellslam.benchmarks.scores.alignment import aligned
 from cellslam.benchmarks.scores.statistics import plain
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.earlier_drives import Before
-from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.benchmarks.trials.failures import ExternalError, LostError, details, explained
 from cellslam.scenarios.estimator_options import Request
 from cellslam.scenarios.scenario import MapConfig, Scenario
@@ -32,7 +30,6 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import OdometryModel, Recording
-from cellslam.slam.model.vt_map import VtMap
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.bound.cramer_rao import BoundResult
@@ -194,8 +191,13 @@ def outcome_of(
     row |= {"distance_m": metrics.distance_m(recording)}
     row |= {"alignment": ALIGNED} if align else {}
     try:
-        rng = stream(seed, trial, Stream.ESTIMATOR)
-        result = _estimate(recording, request, rng, external, progress, before.known(request))
+        if not request.external:
+            driven = estimate
+        elif external is not None:
+            driven = external.estimate
+        else:
+            raise ExternalError(f"{request.name} runs in a process of its own, and there is none here")
+        result = driven(recording, request, stream(seed, trial, Stream.ESTIMATOR), progress, before.known(request))
         result = aligned(recording, result) if align else result
         scores = metrics.score(recording, result, drive.bound)
     except (Exception, SystemExit) as error:
@@ -207,19 +209,3 @@ def outcome_of(
     }
     row |= {"status": "ok", "error": None, **scores, **cost}
     return Outcome({key: plain(value) for key, value in row.items()}, result)
-
-
-def _estimate(
-    recording: Recording,
-    request: Request,
-    rng: np.random.Generator,
-    external: ExternalProcesses | None,
-    progress: Progress,
-    known: VtMap | None,
-) -> TrialResult:
-    if request.external:
-        if external is None:
-            raise ExternalError(f"{request.name} runs in a process of its own, and there is none here")
-        return external.estimate(recording, request, rng, progress, known)
-    warm_up(request, progress)
-    return estimate(recording, request, rng, progress, known)

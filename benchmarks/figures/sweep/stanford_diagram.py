@@ -26,7 +26,7 @@ ASIDE = 1.08  # factor between a text and the line beside it
 def draw_stanford(figure: Figure, data: SweepData) -> bool:
     """Draw the diagram of each estimator over all worlds, of six at the most; False, and nothing, without claims."""
     found: dict[str, list[tuple[Floats, Floats]]] = {}
-    for one in (one for panel in data.panels for one in panel.series):
+    for one in data.series:
         pairs = [drive.errors.protection() for drive in data.drives(one)]
         found.setdefault(one.label, []).extend(pair for pair in pairs if len(pair[0]))
     found = dict([(label, pairs) for label, pairs in found.items() if pairs][:MOST_PANELS])

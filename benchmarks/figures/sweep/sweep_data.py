@@ -98,9 +98,14 @@ class SweepData:
     world_keys: tuple[str, ...]
 
     @property
+    def series(self) -> list[Series]:
+        """The series of all panels, in order."""
+        return [one for panel in self.panels for one in panel.series]
+
+    @property
     def labels(self) -> tuple[str, ...]:
         """The labels of all series, in order."""
-        return tuple(dict.fromkeys(one.label for panel in self.panels for one in panel.series))
+        return tuple(dict.fromkeys(one.label for one in self.series))
 
     def drives(self, series: Series) -> Iterator[Trajectory]:
         """Yield the trajectories of a series that are kept, two hundred at the most."""
@@ -149,9 +154,8 @@ def curve_keys(data: SweepData) -> dict[str, bool]:
 
     Numbers come first.
     """
-    series = [one for panel in data.panels for one in panel.series]
-    worlds = {key: {one.settings[key] for one in series} for key in data.world_keys}
-    options = {key: {one.options[key] for one in series} - {None} for key in series[0].options}
+    worlds = {key: {one.settings[key] for one in data.series} for key in data.world_keys}
+    options = {key: {one.options[key] for one in data.series} - {None} for key in data.series[0].options}
     several = {key: values - {None} for key, values in {**worlds, **options}.items() if len(values) > 1}
     found = {key: all(map(_is_number, values)) for key, values in several.items()}
     return dict(sorted(found.items(), key=lambda item: not item[1]))
@@ -165,7 +169,7 @@ def sweep_lines(data: SweepData, x: str) -> dict[str, list[tuple[float | str | N
     """
     lines: dict[str, list[tuple[float | str | None, Series]]] = {}
     numbers = curve_keys(data)[x]
-    for one in (series for panel in data.panels for series in panel.series):
+    for one in data.series:
         value = one.settings.get(x, one.options.get(x))
         label = label_of(one.estimator, one.options, [key for key in one.options if key != x])
         others = other_settings(one, x)

@@ -162,7 +162,7 @@ def _curves(data: SweepData, column: str) -> dict[Panel, dict[str, Curve]]:
 
 def _cost(figure: Figure, data: SweepData, choice: CurveChoice) -> bool:
     """Draw the statistic with its interval against the estimator's median time per trial."""
-    every = [(one, one.values(choice.metric), one.values("estimate_seconds")) for p in data.panels for one in p.series]
+    every = [(one, one.values(choice.metric), one.values("estimate_seconds")) for one in data.series]
     points = [point for point in every if len(point[1]) and len(point[2])]
     if not points:
         return False
