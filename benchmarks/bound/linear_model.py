@@ -185,9 +185,8 @@ def start_variance(recording: Recording, core: Core) -> Floats:
     """Return the prior variances (c,) at the first snapshot, in the squared units of the states."""
     model, sites, variance = recording.odometry_model, recording.sites, np.zeros(core.size)
     variance[:6] = recording.start_std**2
-    variance[core.bias[core.bias >= 0]] = model.bias[core.bias >= 0] ** 2
-    variance[core.scale[core.scale >= 0]] = model.scale[core.scale >= 0] ** 2
-    variance[core.rate[core.rate >= 0]] = sites.drift_std_m_s[core.rate >= 0] ** 2
+    for state, std in ((core.bias, model.bias), (core.scale, model.scale), (core.rate, sites.drift_std_m_s)):
+        variance[state[state >= 0]] = std[state >= 0] ** 2
     variance[core.offsets] = sites.clock_offset_std_m**2
     return variance
 
