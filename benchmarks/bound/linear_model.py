@@ -15,7 +15,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +24,9 @@ from cellslam.benchmarks.bound.persisting_states import Seen, persisting_errors
 from cellslam.benchmarks.bound.recursion_kernel import Components, Sparse
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import held, integrate_pose, mean_velocity, pose_jacobians, wrap_angle
+from cellslam.sim.lte.persisting_errors import Cause
 from cellslam.sim.recording import Floats, Ints, OdometryModel, Recording, Sites, Truth
 from cellslam.slam.model.measurement_model import jacobians, predict
-
-if TYPE_CHECKING:
-    from cellslam.sim.lte.persisting_errors import Cause
 
 Flags = NDArray[np.bool_]
 BROAD_STD = np.array([1e4, 10.0, 10.0])  # of a component that a VT's first measurement lacks: m, rad, rad

@@ -83,7 +83,8 @@ def _who_did_best(series: Sequence[Series], marked: Collection[str]) -> str | No
     (least, best), *others = sorted(scored)
     equal = [label for value, label in others if value <= (1.0 + EQUAL) * least]
     behind = [(value, label) for value, label in others if label not in equal]
-    who = " and ".join([best, *equal]) if len(equal) < 2 else f"{', '.join([best, *equal[:-1]])} and {equal[-1]}"
+    *first, last = best, *equal
+    who = f"{', '.join(first)} and {last}" if first else last
     text = f"{who} did best: a position RMSE of {least:.2f} m{' each' if equal else ''}"
     if behind:
         text += f", where {behind[0][1]} has {behind[0][0]:.2f} m"

@@ -17,7 +17,7 @@ from cellslam.benchmarks.sweeps.rows import oracles
 from cellslam.benchmarks.sweeps.store import reading, trajectory_of
 from cellslam.benchmarks.sweeps.tasks import identity
 from cellslam.benchmarks.sweeps.trajectories import Trajectory
-from cellslam.benchmarks.tables.summaries import Layout, metrics_of
+from cellslam.benchmarks.tables.summaries import check_metric
 from cellslam.scenarios.loading import from_tables
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.lte.radio_config import RadioConfig
@@ -61,7 +61,7 @@ class Worst:
 
 def worst_trials(data: SweepData, choice: Choice) -> list[Worst]:
     """Return the worst trials of each chosen estimator, the worst first. Raises InputError."""
-    metrics_of(Layout(metrics=(choice.metric,)))
+    check_metric(choice.metric)
     if not 0 <= choice.worst <= MOST_WORST:
         raise InputError(f"--worst {choice.worst}: must be 0 to {MOST_WORST}")
     known = {one.estimator for one in data.series}

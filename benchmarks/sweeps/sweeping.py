@@ -52,13 +52,13 @@ def carry_out(plan: Plan, store: Store, executor: Executor, on_result: OnResult)
         on_result(task, job, result.row)
 
     lost: list[Lost] = []
-    for answer in executor.run(plan.tasks):
+    for answer in executor(plan.tasks):
         if isinstance(answer, Lost):
             lost.append(answer)
         else:
             keep(answer)
     for first in lost:
-        for answer in executor.run([first.task.only(first.job)]):
+        for answer in executor([first.task.only(first.job)]):
             keep(_given_up(first, answer) if isinstance(answer, Lost) else answer)
 
 

@@ -88,7 +88,7 @@ def comparison(
 
     if metric in RATIOS:
         raise InputError(f"'{metric}' is of a group of drives, not of one: compare position_rmse_m")
-    metrics_of(Layout(metrics=(metric,)))
+    check_metric(metric)
     check_confidence(confidence)
     keys = [key for key in row_keys(folder, Layout(rows=rows)) if key != "estimator"]
     frame = results(folder, [*varying_keys(folder), *keys, "estimator", "options", *_DRIVE, "status", metric])
@@ -181,9 +181,14 @@ def row_keys(folder: str | Path, layout: Layout) -> list[str]:
 def metrics_of(layout: Layout) -> list[str]:
     """Return the metrics of a layout, checked: those asked for, or the usual ones."""
     for name in layout.metrics:
-        if name not in METRIC:
-            raise unknown_name("metric", name, METRIC)
+        check_metric(name)
     return list(layout.metrics or ((BOUNDED,) if layout.columns else shown_in("summary")))
+
+
+def check_metric(name: str) -> None:
+    """Raise InputError unless there is a metric of that name."""
+    if name not in METRIC:
+        raise unknown_name("metric", name, METRIC)
 
 
 def check_confidence(confidence: float | None) -> None:

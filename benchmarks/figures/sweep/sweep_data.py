@@ -11,8 +11,10 @@ import numpy as np
 
 from cellslam.benchmarks.scores.metrics import METRIC
 from cellslam.benchmarks.scores.statistics import interval, statistic
+from cellslam.benchmarks.scores.verdicts import Verdict
 from cellslam.benchmarks.sweeps.rows import oracles, results, varying_keys
 from cellslam.benchmarks.sweeps.store import trajectory_of
+from cellslam.benchmarks.sweeps.trajectories import Trajectory
 from cellslam.benchmarks.tables.rankings import verdicts
 from cellslam.benchmarks.tables.summaries import CONFIDENCE, finite, groups
 from cellslam.sim.errors import InputError
@@ -20,9 +22,6 @@ from cellslam.sim.recording import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from cellslam.benchmarks.scores.verdicts import Verdict
-    from cellslam.benchmarks.sweeps.trajectories import Trajectory
 
 MOST_TRAJECTORIES = 200
 POINTS_IN_TIME = 400

@@ -21,7 +21,7 @@ from cellslam.benchmarks.figures.sweep.stanford_diagram import draw_stanford
 from cellslam.benchmarks.figures.sweep.sweep_data import CurveChoice, Panel, Series, SweepData, axis, curve_keys
 from cellslam.benchmarks.scores.statistics import LEAST_VALUES, statistic
 from cellslam.benchmarks.tables.consistency import claimed_in
-from cellslam.benchmarks.tables.summaries import Layout, check_confidence, metrics_of
+from cellslam.benchmarks.tables.summaries import check_confidence, check_metric
 from cellslam.benchmarks.trials.output_files import file_name
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
@@ -50,7 +50,7 @@ def draw_sweep(
     Raises InputError for an unknown key, metric or statistic, or an empty sweep.
     """
     choice = choice or CurveChoice()
-    metrics_of(Layout(metrics=(choice.metric,)))
+    check_metric(choice.metric)
     statistic(choice.statistic)
     check_confidence(choice.confidence)
     data = sweep_data.load(folder)
