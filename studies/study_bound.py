@@ -18,7 +18,7 @@ import numpy as np
 
 from cellslam.benchmarks.bound.cramer_rao import BoundResult, bound
 from cellslam.benchmarks.bound.merged_paths import LEAST_SHARE, merged, merged_share, merging
-from cellslam.benchmarks.scores.metrics import nees
+from cellslam.benchmarks.scores.belief import squared_error
 from cellslam.benchmarks.scores.statistics import efficiency_ratio
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
@@ -39,7 +39,7 @@ def without_merged(recording: Recording) -> Recording:
 def found(result: BoundResult) -> tuple[float, float, float]:
     """Return the bound, the filter's root mean square error, both in m, and its mean NEES."""
     error = result.pose_error
-    squared = nees(np.zeros_like(error), error, result.pose_covariance)
+    squared = squared_error(error[:, :2], result.pose_covariance[:, :2, :2])
     return (
         result.position_rmse_m,
         float(np.sqrt(np.mean(error[:, 0] ** 2 + error[:, 1] ** 2))),

@@ -23,7 +23,7 @@ from cellslam.benchmarks.bound.cramer_rao import bound
 from cellslam.benchmarks.scores.array_calibration import drawn
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.scores.statistics import efficiency_ratio
-from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
@@ -51,7 +51,6 @@ def answered(recording: Recording, name: str, known: Calibration | None) -> tupl
         if known is not None:
             known.save(file.name)
         (request,) = resolve({name: {} if known is None else {"calibration_file": file.name}}, (name,))
-        warm_up(request)
         result = estimate(recording, request, np.random.default_rng(0))
     assert result.calibration is not None
     claimed = float(np.sqrt(np.mean(result.position_std_m**2)))

@@ -17,7 +17,7 @@ import numpy as np
 from cellslam.benchmarks.bound.shared_maps import shared_map_bounds
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.trials.earlier_drives import APART
-from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
@@ -29,7 +29,6 @@ SEED, SHOWN = 20000, (1, 2, 4, 8)
 def sequence(name: str, number: int, given: argparse.Namespace) -> dict[str, Any]:
     """Return errors, NEES and bounds of the drives of a sequence, each with the map that those before it left."""
     (request,) = resolve(load(name).estimator, [given.estimator])
-    warm_up(request)
     known, recordings, row = None, [], {"case": name, "sequence": number, "rmse": [], "nees": [], "vts": [], "said": []}
     for drive in range(1, given.drives + 1):
         trial = number + APART * drive

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.benchmarks.scores.metrics import score
-from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.recordings.adapters.adapter_loading import import_adapter
 from cellslam.recordings.fitting.assumptions import assumed
 from cellslam.scenarios.recording_origin import Origin
@@ -72,7 +72,6 @@ def errors(recording: Recording, names: tuple[str, ...], fit: bool) -> dict[str,
     given = assumed(recording, Origin.of(recording), names, {}, fit)
     drive, out = replace(recording, odometry_model=given.odometry_model), {}
     for request in given.requests:
-        warm_up(request)
         out[request.name] = float(
             score(drive, estimate(drive, request, np.random.default_rng(0)), None)["position_rmse_m"]
         )

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from cellslam.benchmarks.scores.metrics import score
-from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.recordings import Campaign, OdometryTable, build
 from cellslam.recordings.fitting.fit_sizes import learn
 from cellslam.scenarios.estimator_options import resolve
@@ -54,7 +54,6 @@ def errors(recording: Recording, names: tuple[str, ...], seed: int) -> dict[str,
         table = learnt.table(model)
         few = {"particles": 100} if model is not None and "particles" in model.model_fields else {}
         (request,) = resolve({name: table | few}, (name,))
-        warm_up(request)
         told = replace(recording, odometry_model=learnt.odometry_model)
         result = estimate(told, request, np.random.default_rng(seed))
         out[name] = score(recording, result, None)["position_rmse_m"]

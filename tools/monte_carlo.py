@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cellslam.benchmarks.sweeps.executors import Serial, executor
+from cellslam.benchmarks.sweeps.executors import executor, one_thread
 from cellslam.benchmarks.sweeps.store import DATABASE, Store, statuses, writing
 from cellslam.benchmarks.sweeps.sweeping import carry_out, seconds_of
 from cellslam.benchmarks.sweeps.tasks import Plan, plan
@@ -70,8 +70,8 @@ def command(arguments: Namespace) -> int:
 
 def parts(points: tuple[sweeps.Point, ...]) -> dict[str, Any]:
     """Return the seconds of one trial by part: its world with the bound, and each estimator."""
-    with Serial(shares(1, LIMIT_S)) as one:
-        _, seconds = seconds_of(plan(points, 1, 0), one.external)
+    with one_thread(shares(1, LIMIT_S)) as external:
+        _, seconds = seconds_of(plan(points, 1, 0), external)
     return {"seconds_by_part": {name: round(s, 4) for name, s in seconds.items()}}
 
 

@@ -29,7 +29,7 @@ Trans. Signal Processing 46(5), 1998, in covariance form, as the odometry noise 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -40,11 +40,9 @@ from cellslam.benchmarks.bound.linear_model import NEVER, Core, Drive, linear_mo
 from cellslam.benchmarks.bound.recursion_kernel import Components, keep, predict, times, update
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
+from cellslam.sim.lte.persisting_errors import Cause
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Recording
-
-if TYPE_CHECKING:
-    from cellslam.sim.lte.persisting_errors import Cause
 
 EVERY = 10  # snapshots from one value of the map's bound to the next
 IDLE = 0.03  # share of states that nothing meets any more, from which on they are taken out: to copy P takes time

@@ -12,9 +12,10 @@ bound computation for deterministic nonlinear systems", IEEE Trans. Automatic Co
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +24,9 @@ from cellslam.benchmarks.bound.persisting_states import Seen, persisting_errors
 from cellslam.benchmarks.bound.recursion_kernel import Components, Sparse
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import held, integrate_pose, mean_velocity, pose_jacobians, wrap_angle
+from cellslam.sim.lte.persisting_errors import Cause
 from cellslam.sim.recording import Floats, Ints, OdometryModel, Recording, Sites, Truth
 from cellslam.slam.model.measurement_model import jacobians, predict
-
-if TYPE_CHECKING:
-    from cellslam.sim.lte.persisting_errors import Cause
 
 Flags = NDArray[np.bool_]
 BROAD_STD = np.array([1e4, 10.0, 10.0])  # of a component that a VT's first measurement lacks: m, rad, rad
@@ -163,15 +162,15 @@ def linear_model(
 
 def core_of(model: OdometryModel, sites: Sites) -> Core:
     """Return the layout of the core: only errors that the data sheets have become states."""
+    free = itertools.count(6)
 
-    def numbered(there: Flags, first: int) -> Ints:
-        return np.where(there, first + np.cumsum(there) - 1, -1).astype(np.int64)
+    def numbered(there: Flags) -> Ints:
+        return np.array([next(free) if one else -1 for one in there], np.int64)
 
-    bias = numbered((model.bias > 0) | (model.bias_walk_density > 0), 6)
-    scale = numbered(model.scale > 0, max(5, bias.max()) + 1)
-    rate = numbered((sites.drift_std_m_s > 0) | (sites.walk_densities[1] > 0), int(max(5, bias.max(), scale.max())) + 1)
-    first = int(max(5, bias.max(), scale.max(), rate.max(initial=0))) + 1
-    return Core(bias, scale, rate, first + np.arange(len(sites)), first + len(sites))
+    bias = numbered((model.bias > 0) | (model.bias_walk_density > 0))
+    scale = numbered(model.scale > 0)
+    rate = numbered((sites.drift_std_m_s > 0) | (sites.walk_densities[1] > 0))
+    return Core(bias, scale, rate, numbered(np.ones(len(sites), np.bool_)), next(free))
 
 
 def motion_of(recording: Recording, truth: Truth, core: Core) -> Motion:
@@ -184,9 +183,8 @@ def start_variance(recording: Recording, core: Core) -> Floats:
     """Return the prior variances (c,) at the first snapshot, in the squared units of the states."""
     model, sites, variance = recording.odometry_model, recording.sites, np.zeros(core.size)
     variance[:6] = recording.start_std**2
-    variance[core.bias[core.bias >= 0]] = model.bias[core.bias >= 0] ** 2
-    variance[core.scale[core.scale >= 0]] = model.scale[core.scale >= 0] ** 2
-    variance[core.rate[core.rate >= 0]] = sites.drift_std_m_s[core.rate >= 0] ** 2
+    for state, std in ((core.bias, model.bias), (core.scale, model.scale), (core.rate, sites.drift_std_m_s)):
+        variance[state[state >= 0]] = std[state >= 0] ** 2
     variance[core.offsets] = sites.clock_offset_std_m**2
     return variance
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from cellslam.benchmarks.env.localization import COLUMNS
 from cellslam.benchmarks.env.scenario_env import Observation, ScenarioEnv, Scene
 from cellslam.benchmarks.trials.estimation import warm_up
 from cellslam.scenarios.estimator_options import resolve
@@ -224,7 +225,6 @@ def _nearest(points_m: Floats, pose: Floats, from_index: int) -> int:
 
 def _snapshot(m: Measurements, rows: slice, index: int, first_row: int) -> Snapshot:
     numbers = np.arange(first_row, first_row + rows.stop - rows.start)
-    columns: list[Any] = [m.link, m.distance_m, m.azimuth_rad, m.elevation_rad, m.snr_db]
-    columns += [m.distance_std_m, m.azimuth_std_rad, m.elevation_std_rad]
-    parts: list[Any] = [None if column is None else column[rows] for column in columns]
-    return Snapshot(index, numbers, *parts)
+    columns: dict[str, Any] = {name: getattr(m, name) for name in ("link", *COLUMNS)}
+    shown = {name: column[rows] for name, column in columns.items() if column is not None}
+    return Snapshot(index, numbers, **shown)

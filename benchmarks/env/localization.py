@@ -14,7 +14,7 @@ from cellslam.benchmarks.env.scenario_env import Observation, ScenarioEnv, Scene
 from cellslam.scenarios.loading import from_tables
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.frames import integrate_pose, mean_velocity
-from cellslam.sim.recording import Floats, OdometryModel, Recording
+from cellslam.sim.recording import Floats, Measurements, OdometryModel, Recording
 from cellslam.slam.api import Setup, Snapshot, odometry_of, setup_of, snapshots_of
 
 DEVIATIONS = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
@@ -166,12 +166,7 @@ def observation(
 
     dt_s in s; odometry (6,) in m/s and rad/s; unit (6,) of an action in m and rad; last_action (6,) in its units.
     """
-    table = np.full((len(snapshot), len(COLUMNS)), np.nan)
-    for i, name in enumerate(COLUMNS):
-        column = getattr(snapshot, name)
-        if column is not None:
-            table[:, i] = column
-    link = snapshot.link
+    table, link = path_table(snapshot), snapshot.link
     if len(table) > max_paths:
         strongest = np.sort(np.argsort(-np.nan_to_num(table[:, 3], nan=-np.inf), kind="stable")[:max_paths])
         table, link = table[strongest], link[strongest]
@@ -189,6 +184,12 @@ def observation(
     out["paths"][:count] = np.where(there, table, 0.0)
     out["measured"][:count], out["link"][:count], out["mask"][:count] = there, link, 1
     return out
+
+
+def path_table(paths: Snapshot | Measurements) -> Floats:
+    """Return the columns of n paths as a table (n, 7), NaN where a component was not measured."""
+    columns = (getattr(paths, name) for name in COLUMNS)
+    return np.stack([np.full(len(paths), np.nan) if one is None else one for one in columns], axis=1)
 
 
 def snapshot_of(observed: Observation, index: int, first_row: int) -> Snapshot:

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from cellslam.benchmarks.env.localization import COLUMNS, action_unit
+from cellslam.benchmarks.env.localization import action_unit, path_table
 from cellslam.benchmarks.env.observation_kernel import Drives, write_observations
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.sets.reading import drives_of
@@ -55,14 +55,15 @@ class LocalizationVectorEnv(VectorEnv[Any, Any, Any]):
             recordings = [simulate(chosen, seed) for seed in range(DRIVES if drives is None else drives)]
         else:
             recordings = [Recording.load(drive.path) for drive in drives_of(folder, split)[:drives]]
-        if not recordings or any(one.truth is None for one in recordings):
+        truth = [one.truth.poses for one in recordings if one.truth is not None]
+        if not recordings or len(truth) < len(recordings):
             raise InputError(f"{folder}, '{split}': an episode needs a drive with its truth")
         self.num_envs, self.max_paths, self._copy = num_envs, max_paths, copy
         self.single_observation_space = spaces.Box(-1e9, 1e9, (19 + 16 * max_paths,), np.float32)
         self.single_action_space = spaces.Box(-1.0, 1.0, (6,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._drives, self._truth = joined(recordings), np.concatenate([_truth(one) for one in recordings])
+        self._drives, self._truth = joined(recordings), np.concatenate(truth)
         self._start = np.array([one.start_pose for one in recordings])
         lengths = np.array([len(one.time_s) for one in recordings])
         self._first, self._last = np.cumsum(lengths) - lengths, np.cumsum(lengths) - 1
@@ -123,19 +124,7 @@ def joined(recordings: Sequence[Recording]) -> Drives:
         action_unit(one.odometry_model, dt[:, None], u) for one, dt, u in zip(recordings, dt_s, odometry, strict=True)
     ]
     counts = np.concatenate([np.diff(one.rows) for one in recordings])
-    paths = [
-        np.stack([_or_nan(getattr(one.measurements, name), len(one.measurements)) for name in COLUMNS], axis=1)
-        for one in recordings
-    ]
+    paths = [path_table(one.measurements) for one in recordings]
     link = np.concatenate([one.measurements.link for one in recordings]).astype(np.float32)
     dt, u, unit_, path = (np.concatenate(parts).astype(np.float32) for parts in (dt_s, odometry, unit, paths))
     return Drives(np.concatenate([[0], np.cumsum(counts)]), dt, u, unit_, path, link)
-
-
-def _truth(recording: Recording) -> Floats:
-    assert recording.truth is not None
-    return recording.truth.poses
-
-
-def _or_nan(column: Floats | None, count: int) -> Floats:
-    return np.full(count, np.nan) if column is None else column

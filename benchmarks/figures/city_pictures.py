@@ -3,33 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, PathPatch
 
-from cellslam.benchmarks.figures.style import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    PURPLE,
-    VERMILLION,
-    context,
-    material_colour,
-    outline,
-    save,
-)  # fmt: skip
+from cellslam.benchmarks.figures import style
 from cellslam.sim.city.city import GROUND, City, Floats
 from cellslam.sim.rays.exchange.traced_paths import Traced
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 # By kind of path.
-KIND_COLOURS = (GREEN, BLUE, PURPLE, VERMILLION)
+KIND_COLOURS = (style.GREEN, style.BLUE, style.PURPLE, style.VERMILLION)
 KIND_NAMES = ("line of sight", "one reflection", "two reflections", "diffraction")
 SHOWN_RAYS = 600
 SUN = np.array([0.45, -0.6, 0.9]) / np.linalg.norm([0.45, -0.6, 0.9])
@@ -42,20 +29,20 @@ def draw_plan(path: Path, city: City, rays: Traced | None = None) -> None:
     """Write the plan of a city, buildings shaded by height, with rays seen from above."""
     low, high = _extent(_shown(city, rays)[:, :2])
     wide, tall = (high - low) / (high - low).max()
-    with context():
+    with style.context():
         figure = Figure(figsize=(max(7.0 * wide, 3.5) + 1.6, max(7.0 * tall, 3.5) + 0.8), layout="constrained")
         axes = figure.subplots()
         _buildings(figure, axes, city)
-        axes.add_collection(LineCollection([s[:, :2] for s in city.streets], colors=GREY, linewidths=0.7))
+        axes.add_collection(LineCollection([s[:, :2] for s in city.streets], colors=style.GREY, linewidths=0.7))
         if rays is not None:
             _rays(axes, rays, np.eye(3)[:2], width=0.4, alpha=0.5)
-            axes.plot(*rays.receivers_m[:, :2].T, ".", color=BLACK, markersize=2.0, label="receivers")
+            axes.plot(*rays.receivers_m[:, :2].T, ".", color=style.BLACK, markersize=2.0, label="receivers")
             for line in figure.legend(loc="outside lower center", ncols=4).get_lines():
                 line.set_linewidth(1.5)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x (m)", ylabel="y (m)")
         axes.set_title(f"{city.name}: {len(city.footprints)} buildings")
         axes.grid(False)
-        save(figure, path)
+        style.save(figure, path)
 
 
 def draw_view(path: Path, city: City, rays: Traced | None = None) -> None:
@@ -64,20 +51,19 @@ def draw_view(path: Path, city: City, rays: Traced | None = None) -> None:
     right, ahead = np.array([-sin[0], cos[0], 0.0]), -np.array([cos[1] * cos[0], cos[1] * sin[0], sin[1]])
     screen = np.stack([right, np.cross(right, ahead)])
     low, high = _extent(_shown(city, rays) @ screen.T)
-    with context():
+    with style.context():
         figure = Figure(figsize=(8.75, 8.75 * (high - low)[1] / (high - low)[0]))
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.add_collection(_facets(city, screen, ahead))
         if rays is not None:
             _rays(axes, rays, screen, width=0.7, alpha=0.7)
-        names = dict.fromkeys(city.materials[m].name for m in np.unique(city.facets.material))
-        axes.legend(
-            handles=[Patch(facecolor=material_colour(n), edgecolor=GREY, label=n.replace("_", " ")) for n in names],
-            loc="upper left",
-        )
+        names = [city.materials[m].name for m in np.unique(city.facets.material)]
+        colours = {name.replace("_", " "): style.material_colour(name) for name in names}
+        swatches = [Patch(facecolor=colour, edgecolor=style.GREY, label=name) for name, colour in colours.items()]
+        axes.legend(handles=swatches, loc="upper left")
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         axes.axis("off")
-        save(figure, path)
+        style.save(figure, path)
 
 
 def _facets(city: City, screen: Floats, ahead: Floats) -> PolyCollection:
@@ -93,7 +79,7 @@ def _facets(city: City, screen: Floats, ahead: Floats) -> PolyCollection:
     _, own, count = np.unique(building, return_inverse=True, return_counts=True)
     distance = np.where(building == GROUND, np.inf, (np.bincount(own, depth) / count)[own])
     order = np.lexsort((-depth, np.abs(normal[:, 2]) > ROOF, -distance))
-    palette = np.array([material_colour(material.name) for material in city.materials])
+    palette = np.array([style.material_colour(material.name) for material in city.materials])
     # A wall is seen from outside, whichever way its triangles turn.
     normal *= -np.sign(normal @ ahead)[:, None]
     light = 0.64 + 0.36 * np.clip(normal @ SUN, 0.0, 1.0)
@@ -111,7 +97,7 @@ def _facets(city: City, screen: Floats, ahead: Floats) -> PolyCollection:
 def _buildings(figure: Figure, axes: Axes, city: City) -> None:
     order = np.argsort(city.heights_m, kind="stable")
     patches = PatchCollection(
-        [PathPatch(outline(city.footprints[i])) for i in order], cmap="YlOrBr", edgecolor="#8C8577", linewidth=0.3
+        [PathPatch(style.outline(city.footprints[i])) for i in order], cmap="YlOrBr", edgecolor="#8C8577", linewidth=0.3
     )
     patches.set_array(city.heights_m[order])
     patches.set_clim(0.0, 1.25 * float(city.heights_m.max(initial=1.0)))
@@ -131,9 +117,10 @@ def _rays(axes: Axes, rays: Traced, screen: Floats, width: float, alpha: float) 
     lines = [line[~np.isnan(line[:, 0])] for line in corners]  # transmitter, specular points, receiver
     for kind in np.unique(paths.kind)[::-1].tolist():
         chosen = [line @ screen.T for line, own in zip(lines, paths.kind, strict=True) if own == kind]
-        style: dict[str, Any] = {"colors": KIND_COLOURS[kind], "label": KIND_NAMES[kind]}
-        axes.add_collection(LineCollection(chosen, linewidths=width, alpha=alpha, **style))
-    axes.plot(*screen @ rays.transmitters_m.T, "^", color=VERMILLION, markeredgecolor=BLACK, label="transmitters")
+        drawn: dict[str, Any] = {"colors": KIND_COLOURS[kind], "label": KIND_NAMES[kind]}
+        axes.add_collection(LineCollection(chosen, linewidths=width, alpha=alpha, **drawn))
+    x, y = screen @ rays.transmitters_m.T
+    axes.plot(x, y, "^", color=style.VERMILLION, markeredgecolor=style.BLACK, label="transmitters")
 
 
 def _shown(city: City, rays: Traced | None) -> Floats:

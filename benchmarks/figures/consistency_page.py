@@ -13,22 +13,20 @@ navigation", 2001, section 5.4 (NEES and its band).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from cellslam.benchmarks.figures.style import BLACK, GREY, WIDTH_IN, estimator_styles
+from cellslam.benchmarks.figures.style import BLACK, GREY, WIDTH_IN, estimator_styles, plain_numbers
 from cellslam.benchmarks.scores.belief import LEVELS
 from cellslam.benchmarks.scores.statistics import share_interval
 from cellslam.benchmarks.tables.consistency import Claimed, nees_band
 from cellslam.benchmarks.tables.summaries import CONFIDENCE
 from cellslam.sim.recording import Floats
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 BINS, GRID, MOST_DENSITY = 20, 100, 5.0
 LEAST_NEES = 0.05
@@ -75,8 +73,6 @@ def draw(figure: Figure, shown: Mapping[str, Shown], title: str = "") -> bool:
 
 def draw_nees(axes: Axes, curves: Mapping[str, tuple[Floats, Floats]], styles: Mapping[str, Style]) -> None:
     """Draw the mean over drives of the NEES (N, P) at times (P,) by label, and the band in which it should be."""
-    from matplotlib.ticker import LogLocator
-
     for label, (time_s, values) in curves.items():
         finite = np.isfinite(values).any(axis=0)
         mean = np.full(len(time_s), np.nan)
@@ -91,9 +87,7 @@ def draw_nees(axes: Axes, curves: Mapping[str, tuple[Floats, Floats]], styles: M
         ylim=(max(axes.get_ylim()[0], LEAST_NEES), None),
         ylabel=f"NEES, with its {100 * CONFIDENCE:g} % band",
     )
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_locator(LogLocator(subs=(2, 5)))
-    axes.yaxis.set_minor_formatter("{x:g}")
+    plain_numbers(axes.yaxis, between=True)
 
 
 def _reliability(axes: Axes, one: Shown, style: Style) -> None:
@@ -117,22 +111,20 @@ def _histogram(axes: Axes, one: Shown, style: Style) -> None:
 
 def _outside(axes: Axes, shown: Mapping[str, Shown], styles: Mapping[str, Style]) -> None:
     """Draw how often errors lie outside of what is claimed to hold them, beside the share that was claimed."""
-    whats: dict[str, Callable[[Claimed], Floats]] = {
-        "position": lambda d: d.position, "heading": lambda d: d.heading, "clocks": lambda d: d.clock,
-    }  # fmt: skip
+    whats = {"position": "position", "heading": "heading", "clocks": "clock"}  # in words, and as an attribute
     count = len(LEVELS)
-    for place, of in enumerate(whats.values()):
+    for place, what in enumerate(whats.values()):
         for k, level in enumerate(LEVELS):
             x = place * (count + 1.0) + k
             axes.plot([x - 0.45, x + 0.45], [1.0 - level] * 2, color=BLACK, linewidth=0.8, linestyle=":")
             for index, (label, one) in enumerate(shown.items()):
-                found = [1.0 - float(_shares(of(d), np.array([level]))[0]) for d in one.drives if len(of(d))]
-                if found:
+                claimed = [column for drive in one.drives if len(column := getattr(drive, what))]
+                if claimed:
                     aside = 0.6 * ((index + 0.5) / len(shown) - 0.5)
-                    _dot(axes, x + aside, np.array(found), styles[label]["color"])
+                    _dot(axes, x + aside, np.array([np.mean(c > level) for c in claimed]), styles[label]["color"])
     middle = [place * (count + 1.0) + (count - 1) / 2.0 for place in range(len(whats))]
     axes.set(yscale="log", ylim=(LEAST_SHARE, 1.2), ylabel="share outside of 50, 90, 95, 99 % (dotted)")
-    axes.yaxis.set_major_formatter("{x:g}")
+    plain_numbers(axes.yaxis)
     axes.set_xticks(middle, list(whats))
     axes.grid(visible=False, axis="x")
 

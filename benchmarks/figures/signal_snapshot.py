@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from cellslam.benchmarks.figures import style
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte.signal.drive_in_blocks import snapshot_rng
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
@@ -24,8 +26,6 @@ def draw_snapshot(world: World, number: int, link: int | None, out: Path) -> lis
     """Draw the snapshot to `out` (.png) and return a line of text per link shown. Raises InputError for a link that
     does not exist.
     """
-    from matplotlib.figure import Figure
-
     signals = world.signals
     assert signals is not None
     links = len(signals.links.site)
@@ -40,10 +40,9 @@ def draw_snapshot(world: World, number: int, link: int | None, out: Path) -> lis
     truth = true_geometry(columns, pose)
     counts = np.bincount(table[:, k.LINK].astype(int), minlength=links)
     shown = [link] if link is not None else sorted(np.argsort(-counts, kind="stable")[:SHOWN].tolist())
-    figure = Figure(figsize=(11.0, 4.2 * ((len(shown) + 1) // 2)), layout="constrained")
-    axes = figure.subplots((len(shown) + 1) // 2, min(len(shown), 2), squeeze=False).ravel()
-    lines = []
-    for axis, one in zip(axes, shown, strict=False):
+    figure, lines = Figure(layout="constrained"), []
+    axes = style.panels(figure, len(shown), min(len(shown), 2), (11.0, 4.2))
+    for axis, one in zip(axes, shown, strict=True):
         spectrum = Spectrum(
             signals.receiver.at_distances(signals.samples(one, received, slots)), signals.receiver.moving(velocity)
         )
@@ -57,8 +56,6 @@ def draw_snapshot(world: World, number: int, link: int | None, out: Path) -> lis
         axis.set_title(f"link {one}: site {world.config.sites[site].name}, cell {cell}, port {port}", fontsize=10)
         real = int((found[:, k.PATH] >= 0).sum())
         lines.append(f"link {one}: {len(true)} true paths, {real} found, {len(found) - real} reported besides")
-    for axis in axes[len(shown) :]:
-        axis.set_axis_off()
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
     figure.suptitle(f"snapshot {number} at {world.drive.time_s[number]:.1f} s: strongest direction over noise, dB")
     figure.savefig(out, dpi=80)
@@ -77,8 +74,11 @@ def _panel(axis: Any, spectrum: Spectrum, true: Floats, found: Floats, clock_m: 
     axis.figure.colorbar(picture, ax=axis, pad=0.01)
     real = found[:, k.PATH] >= 0.0
     lengths = np.concatenate([true[:, 0], found[:, k.DISTANCE] - clock_m, [100.0]])
-    axis.plot(true[:, 0], np.degrees(true[:, 1]), "o", ms=13, mfc="none", mec="#0072b2", mew=1.6, label="true path")
-    for mask, mark, colour, label in ((real, "x", "#009e73", "found"), (~real, "s", "#d55e00", "ghost or diffuse")):
+    axis.plot(true[:, 0], np.degrees(true[:, 1]), "o", ms=13, mfc="none", mec=style.BLUE, mew=1.6, label="true path")
+    for mask, mark, colour, label in (
+        (real, "x", style.GREEN, "found"),
+        (~real, "s", style.VERMILLION, "ghost or diffuse"),
+    ):
         axis.plot(
             found[mask, k.DISTANCE] - clock_m, np.degrees(found[mask, k.AZIMUTH]), mark, ms=8, mew=1.6,
             mfc="none", mec=colour, label=label,

@@ -10,9 +10,12 @@ from zlib import crc32
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.path import Path as Outline
+from matplotlib.ticker import LogLocator
 from numpy.typing import NDArray
 
 from cellslam.benchmarks.trials.output_files import writing
@@ -139,6 +142,26 @@ def outline(polygon: Any) -> Outline:
     """Return the outline of a shapely polygon, a building's footprint, courtyards included."""
     rings = [polygon.exterior, *polygon.interiors]
     return Outline.make_compound_path(*(Outline(np.asarray(ring.coords)[:, :2], closed=True) for ring in rings))
+
+
+def panels(
+    figure: Figure, count: int, across: int, size_in: tuple[float, float], above_in: float = 0.0, shared: bool = False
+) -> list[Axes]:
+    """Return axes side by side, `across` of them, in rows as wide and high as `size_in`, below a margin."""
+    down = -(-count // across)
+    figure.set_size_inches(size_in[0], above_in + down * size_in[1])
+    grid = list(figure.subplots(down, across, squeeze=False, sharex=shared, sharey=shared).flat)
+    for axes in grid[count:]:
+        axes.set_visible(False)
+    return grid[:count]
+
+
+def plain_numbers(axis: Axis, between: bool = False) -> None:
+    """Write the numbers of a logarithmic axis as they are, those `between` powers of ten too."""
+    axis.set_major_formatter("{x:g}")
+    if between:
+        axis.set_minor_locator(LogLocator(subs=(2, 5)))
+        axis.set_minor_formatter("{x:g}")
 
 
 def write_all(

@@ -58,7 +58,7 @@ function sortable(headings, lines, words) {
     head.append(cell);
   });
   fill(rows);
-  return make("div", { class: "scroll", tabindex: "0" }, make("table", {}, make("thead", {}, head), body));
+  return scrolled(make("table", {}, make("thead", {}, head), body));
 }
 
 // What is missing comes last, whichever way the column is sorted.
@@ -97,17 +97,17 @@ function estimate(cell) {
   return make("span", {}, shown(value), below);
 }
 
+const scrolled = (child) => make("div", { class: "scroll", tabindex: "0" }, child);
+
 function ranksPicture() {
-  const picture = make("img", { src: data.ranks.image, alt: "mean ranks and critical differences" });
-  part("ranks").append(make("div", { class: "scroll", tabindex: "0" }, picture),
+  part("ranks").append(scrolled(make("img", { src: data.ranks.image, alt: "mean ranks and critical differences" })),
     make("p", {}, `Significant differences: ${data.ranks.significant_pairs.join("; ")}.`),
     make("p", { class: "note" }, "Ranks of the position RMSE over trials, 1 the best, oracles aside; a bar joins what Nemenyi's test cannot"
       + " distinguish. Pairs are compared by Wilcoxon's signed-rank test, corrected for all pairs by Holm's method, at 5 %."));
 }
 
 function stanfordPicture() {
-  const picture = make("img", { src: data.integrity, alt: "protection level against error, an estimator a panel" });
-  part("integrity").append(make("div", { class: "scroll", tabindex: "0" }, picture),
+  part("integrity").append(scrolled(make("img", { src: data.integrity, alt: "protection level against error, an estimator a panel" })),
     make("p", { class: "note" }, "Every snapshot: above the diagonal the protection level holds, below it the estimator misleads. Orange: the"
       + " alert limit; red: hazardous. A drive is one sample: cellslam integrity has limits over independent drives."));
 }
@@ -124,8 +124,7 @@ function failedTable() {
     make("td", { class: "word" }, String(row.seed)), make("td", { class: "text" }, row.error,
       row.traceback ? make("details", {}, make("summary", {}, "details"), make("pre", {}, row.traceback)) : null)));
   const more = count > rows.length ? `The first ${rows.length} of ${count}.` : "";
-  part("failed").append(make("div", { class: "scroll", tabindex: "0" },
-    make("table", {}, make("thead", {}, make("tr", {}, ...head)), make("tbody", {}, ...body))),
+  part("failed").append(scrolled(make("table", {}, make("thead", {}, make("tr", {}, ...head)), make("tbody", {}, ...body))),
     make("p", { class: "note" }, more));
 }
 

@@ -8,10 +8,13 @@ from base64 import b64encode
 from collections.abc import Mapping
 from html import escape
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
 
+from cellslam.benchmarks.trials.output_files import check_file, write_text
+from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -32,7 +35,6 @@ def write_report(
     from cellslam.benchmarks.report.report_content import content
     from cellslam.benchmarks.report.worst_trials import Choice
     from cellslam.benchmarks.sweeps.store import reading
-    from cellslam.benchmarks.trials.output_files import check_file
 
     check_plotly()
     path = Path(folder) / PAGE if out is None else Path(out)
@@ -44,10 +46,6 @@ def write_report(
 
 def check_plotly() -> None:
     """Raise InputError unless plotly is installed."""
-    from importlib.util import find_spec
-
-    from cellslam.sim.errors import InputError
-
     if find_spec("plotly") is None:
         raise InputError("interactive pages need plotly: pip install 'cellslam[report]'")
 
@@ -59,8 +57,6 @@ def write_page(path: Path, content: Mapping[str, Any]) -> None:
     """
     check_plotly()
     from plotly.offline import get_plotlyjs
-
-    from cellslam.benchmarks.trials.output_files import write_text
 
     def own(name: str) -> str:
         return (files("cellslam.benchmarks.report") / name).read_text("utf-8")

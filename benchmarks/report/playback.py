@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.figures.style import estimator_styles
+from cellslam.benchmarks.figures.style import colour_of
 from cellslam.benchmarks.report.page import write_page
 from cellslam.benchmarks.report.scene import box_of, rounded, scene_of, vehicles_of
 from cellslam.benchmarks.report.worst_trials import estimate_curves
@@ -49,11 +49,10 @@ def content(recording: Recording, result: TrialResult) -> dict[str, Any]:
         "bound": [],
         "scene": scene,
     }
-    colour = estimator_styles([name])[name]["color"]
     return {
         "title": f"Playback: {name}",
         "lead": f"{len(recording.time_s)} snapshots in {length:.0f} s; a step is {every:.1f} s.",
-        "series": [{"label": name, "oracle": result.oracle, "colour": colour, "dash": "solid"}],
+        "series": [{"label": name, "oracle": result.oracle, "colour": colour_of(name), "dash": "solid"}],
         "heading": "Drive",
         "trials": [section],
         "cities": {"city": city} if city else {},

@@ -14,20 +14,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cellslam.benchmarks.figures.style import Drawing, context, estimator_styles
+from cellslam.benchmarks.figures.sweep import sweep_data
 from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
 from cellslam.benchmarks.figures.sweep.stanford_diagram import draw_stanford
-from cellslam.benchmarks.figures.sweep.sweep_data import (
-    CurveChoice,
-    Series,
-    SweepData,
-    curve_keys,
-    load,
-    shown,
-    sweep_lines,
-    verdicts_of,
-)
+from cellslam.benchmarks.figures.sweep.sweep_data import Series, SweepData, shown
 from cellslam.benchmarks.report.scene import rounded
-from cellslam.benchmarks.report.worst_trials import Choice, failed_trials, trial_sections, worst_trials
+from cellslam.benchmarks.report.worst_trials import Choice, failed_trials, trial_sections, worlds, worst_trials
 from cellslam.benchmarks.scores.metrics import METRIC, METRIC_KEYS
 from cellslam.benchmarks.scores.statistics import LEAST_VALUES
 from cellslam.benchmarks.sweeps.rows import oracles, provenance
@@ -50,12 +42,12 @@ WITHOUT_INTERVALS = f"No confidence intervals: they need {LEAST_VALUES} trials."
 
 def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
     """Return everything that the page shows. Raises InputError."""
-    data = load(folder)
+    data = sweep_data.load(folder)
     chosen = worst_trials(data, choice)
-    named = {series.label: series.estimator for panel in data.panels for series in panel.series}
+    named = {series.label: series.estimator for series in data.series}
     marked = oracles(folder)
     styles = estimator_styles(data.labels)
-    scenarios = sorted({str(s) for panel in data.panels for one in panel.series for s in one.rows["scenario"]})
+    scenarios = sorted({str(scenario) for one in data.series for scenario in one.rows["scenario"]})
     sections, cities = trial_sections(folder, data, chosen, progress)
     single = len(data.panels) == 1 and all(len(one.rows) == 1 for one in data.panels[0].series)
     return {
@@ -91,7 +83,8 @@ def _who_did_best(series: Sequence[Series], marked: Collection[str]) -> str | No
     (least, best), *others = sorted(scored)
     equal = [label for value, label in others if value <= (1.0 + EQUAL) * least]
     behind = [(value, label) for value, label in others if label not in equal]
-    who = " and ".join([best, *equal]) if len(equal) < 2 else f"{', '.join([best, *equal[:-1]])} and {equal[-1]}"
+    *first, last = best, *equal
+    who = f"{', '.join(first)} and {last}" if first else last
     text = f"{who} did best: a position RMSE of {least:.2f} m{' each' if equal else ''}"
     if behind:
         text += f", where {behind[0][1]} has {behind[0][0]:.2f} m"
@@ -102,14 +95,13 @@ def _who_did_best(series: Sequence[Series], marked: Collection[str]) -> str | No
 
 def _summary(data: SweepData) -> dict[str, Any]:
     """Return the table: a line a panel and series, each value with its interval."""
-    keys = list(data.panels[0].series[0].settings)
+    keys = list(data.series[0].settings)
     lines: list[dict[str, Any]] = []
-    for panel in data.panels:
-        for one in panel.series:
-            cells = [_cell(one, column) for column in COLUMNS]
-            ok = int((one.rows["status"] == "ok").sum())
-            settings = [_setting(one.settings.get(key)) for key in keys]
-            lines.append({"settings": settings, "label": one.label, "cells": cells, "ok": ok, "all": len(one.rows)})
+    for one in data.series:
+        cells = [_cell(one, column) for column in COLUMNS]
+        counts = {"ok": len(one.ok), "all": len(one.rows)}
+        settings = [_setting(one.settings.get(key)) for key in keys]
+        lines.append({"settings": settings, "label": one.label, "cells": cells, **counts})
     headings = []
     for column in COLUMNS:
         over = "" if column.metric in RATIOS else f"; {column.statistic} over trials"
@@ -126,15 +118,14 @@ def _summary(data: SweepData) -> dict[str, Any]:
 
 def _cell(one: Series, column: Column) -> list[float | None] | None:
     """Return value and ends of the interval; None where no trial has the metric."""
-    fine = one.rows[one.rows["status"] == "ok"]
-    found = estimate(fine, column.metric, column.statistic, CONFIDENCE if column.interval else None)
+    found = estimate(one.ok, column.metric, column.statistic, CONFIDENCE if column.interval else None)
     digits = METRIC[column.metric].digits + (MORE_DIGITS if column.metric not in RATIOS else 0)
     return None if np.isnan(found[0]) else list(rounded(found, digits))
 
 
 def _ranks(data: SweepData) -> dict[str, Any] | None:
     """Return the diagram of mean ranks, and how many pairs of each panel differ."""
-    judged = verdicts_of(data)
+    judged = sweep_data.verdicts_of(data)
     image = _image(lambda figure: draw_ranks(figure, judged))
     if image is None:
         return None
@@ -156,8 +147,8 @@ def _image(drawing: Drawing) -> str | None:
 def _curves(data: SweepData) -> list[dict[str, Any]]:
     """Return for each numeric key that varies its lines: the median with its interval, of every metric."""
     out = []
-    for key in (key for key, is_number in curve_keys(data).items() if is_number):
-        lines, named = [], sweep_lines(data, key)
+    for key in (key for key, is_number in sweep_data.curve_keys(data).items() if is_number):
+        lines, named = [], sweep_data.sweep_lines(data, key)
         styles = estimator_styles(named)
         for name, points in named.items():
             style = {"colour": styles[name]["color"], "dash": DASHES[styles[name]["linestyle"]]}
@@ -175,7 +166,7 @@ def _curves(data: SweepData) -> list[dict[str, Any]]:
 
 def _line(found: Sequence[tuple[float | None, Any]], digits: int) -> list[list[float | None]]:
     """Return x, median, low and high of one line; x None: the same at every x."""
-    columns = np.stack([CurveChoice().summed(values) for _, values in found], axis=1)
+    columns = np.stack([sweep_data.CurveChoice().summed(values) for _, values in found], axis=1)
     return [[x for x, _ in found], *(rounded(column, digits) for column in columns)]
 
 
@@ -185,43 +176,32 @@ def _distributions(data: SweepData) -> list[dict[str, Any]]:
     for panel in data.panels[:MOST_PANELS]:
         series = []
         for one in panel.series:
-            fine = one.rows[one.rows["status"] == "ok"]
             columns = {
-                metric: rounded(np.asarray(fine[metric], np.float64), known.digits + MORE_DIGITS)
+                metric: rounded(np.asarray(one.ok[metric], np.float64), known.digits + MORE_DIGITS)
                 for metric, known in PLOTTED.items()
             }
             kept = {metric: column for metric, column in columns.items() if any(v is not None for v in column)}
-            names = [f"trial {trial}, seed {seed}" for trial, seed in zip(fine["trial"], fine["seed"], strict=True)]
+            names = [f"trial {trial}, seed {seed}" for trial, seed in one.ok[["trial", "seed"]].itertuples(index=False)]
             series.append({"label": one.label, "all": len(one.rows), "names": names, "values": kept})
         out.append({"title": panel.title or "all trials", "series": series})
     return out
 
 
 def _provenance(folder: Path, data: SweepData) -> dict[str, Any]:
-    rows = [one.rows for panel in data.panels for one in panel.series]
-    worlds, options = resolved(folder)
-    counts: dict[str, Any] = {
-        "rows": sum(map(len, rows)),
-        "seeds": sorted({int(seed) for frame in rows for seed in frame["seed"]}),
-        "trials": sorted({int(trial) for frame in rows for trial in frame["trial"]}),
-    }
-    counts["trials"] = [counts["trials"][0], counts["trials"][-1]]
+    seeds, trials = ({int(n) for one in data.series for n in one.rows[key]} for key in ("seed", "trial"))
+    resolved = worlds(folder)
     return {
-        "runs": provenance(folder), **counts, "worlds": worlds[:MOST_PANELS], "more_worlds": len(worlds[MOST_PANELS:]),
-        "options": options, "cellslam": version("cellslam"),
+        "runs": provenance(folder), "rows": sum(len(one.rows) for one in data.series), "seeds": sorted(seeds),
+        "trials": [min(trials), max(trials)], "worlds": resolved[:MOST_PANELS],
+        "more_worlds": len(resolved[MOST_PANELS:]), "options": _options(folder), "cellslam": version("cellslam"),
     }  # fmt: skip
 
 
-def resolved(folder: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the resolved worlds of a store, and the options of each estimator in it."""
+def _options(folder: Path) -> list[dict[str, Any]]:
+    """Return the options of each estimator in a store."""
+    query = "SELECT DISTINCT estimator, tables FROM rows JOIN options ON id = options ORDER BY estimator, tables"
     with reading(folder) as database:
-        worlds = [json.loads(t) for (t,) in database.execute("SELECT tables FROM worlds ORDER BY id")]
-        query = (
-            "SELECT DISTINCT r.estimator, o.tables FROM rows r JOIN options o ON o.id = r.options "
-            "ORDER BY r.estimator, o.tables"
-        )
-        options = [{"estimator": name, "options": json.loads(t)} for name, t in database.execute(query)]
-    return worlds, options
+        return [{"estimator": name, "options": json.loads(t)} for name, t in database.execute(query)]
 
 
 def _heading(metric: str, text: str) -> dict[str, str]:

@@ -17,7 +17,7 @@ from cellslam.benchmarks.sweeps.rows import oracles
 from cellslam.benchmarks.sweeps.store import reading, trajectory_of
 from cellslam.benchmarks.sweeps.tasks import identity
 from cellslam.benchmarks.sweeps.trajectories import Trajectory
-from cellslam.benchmarks.tables.summaries import Layout, metrics_of
+from cellslam.benchmarks.tables.summaries import check_metric
 from cellslam.scenarios.loading import from_tables
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.lte.radio_config import RadioConfig
@@ -61,28 +61,32 @@ class Worst:
 
 def worst_trials(data: SweepData, choice: Choice) -> list[Worst]:
     """Return the worst trials of each chosen estimator, the worst first. Raises InputError."""
-    metrics_of(Layout(metrics=(choice.metric,)))
+    check_metric(choice.metric)
     if not 0 <= choice.worst <= MOST_WORST:
         raise InputError(f"--worst {choice.worst}: must be 0 to {MOST_WORST}")
-    known = {str(name) for panel in data.panels for one in panel.series for name in one.rows["estimator"]}
+    known = {one.estimator for one in data.series}
     for name in choice.estimators:
         if name not in known:
             raise unknown_name("estimator", name, known)
     out: list[Worst] = []
     for name in choice.estimators or _best(data, choice.metric):
-        sign = -1.0 if METRIC[choice.metric].rising else 1.0
-        found = [w for panel in data.panels for one in panel.series for w in _trials(panel, one, name, choice.metric)]
-        found.sort(key=lambda worst: (-sign * worst.value, worst.trial))
+        series = [(panel, one) for panel in data.panels for one in panel.series if one.estimator == name]
+        found = [worst for panel, one in series for worst in _trials(panel, one, choice.metric)]
+        found.sort(key=lambda worst: (-_badness(worst.value, choice.metric), worst.trial))
         out += _distinct(found, choice.worst)
     return out
+
+
+def worlds(folder: Path) -> list[dict[str, Any]]:
+    """Return the resolved worlds of a store."""
+    with reading(folder) as database:
+        return [json.loads(text) for (text,) in database.execute("SELECT tables FROM worlds ORDER BY id")]
 
 
 def load_code(folder: Path) -> None:
     """Import the code that the worlds of a store name (as waveforms and path losses), and let their files be
     read. Raises InputError."""
-    with reading(folder) as database:
-        worlds = [json.loads(text) for (text,) in database.execute("SELECT tables FROM worlds")]
-    for radio in (world["radio"] for world in worlds if "radio" in world):
+    for radio in (world["radio"] for world in worlds(folder) if "radio" in world):
         for key, name in RadioConfig(**radio).unasked().items():
             allow(key, name)
 
@@ -100,19 +104,20 @@ def failed_trials(folder: Path) -> dict[str, Any]:
 def _best(data: SweepData, metric: str) -> list[str]:
     """Return the estimator with the lowest median; dead reckoning or an oracle only where there is nothing else."""
     values: dict[str, list[float]] = {}
-    for panel in data.panels:
-        for one in panel.series:
-            values.setdefault(one.estimator, []).extend(one.values(metric).tolist())
+    for one in data.series:
+        values.setdefault(one.estimator, []).extend(one.values(metric).tolist())
     medians = {name: float(np.median(v)) for name, v in values.items() if v}
     marked = {*oracles(data.folder), "dead-reckoning"}
     plain = {name: value for name, value in medians.items() if name not in marked} or medians
-    sign = -1.0 if METRIC[metric].rising else 1.0
-    return sorted(plain, key=lambda name: sign * plain[name])[:1]
+    return sorted(plain, key=lambda name: _badness(plain[name], metric))[:1]
 
 
-def _trials(panel: Panel, one: Series, name: str, metric: str) -> list[Worst]:
-    fine = one.rows[(one.rows["status"] == "ok") & (one.rows["estimator"] == name)]
-    rows = zip(fine["trial"], fine["seed"], fine[metric].astype(float), strict=True)
+def _badness(value: float, metric: str) -> float:
+    return -value if METRIC[metric].rising else value
+
+
+def _trials(panel: Panel, one: Series, metric: str) -> list[Worst]:
+    rows = one.ok[["trial", "seed", metric]].astype({metric: float}).itertuples(index=False)
     return [Worst(panel, one.label, int(t), int(s), float(v)) for t, s, v in rows if np.isfinite(v)]
 
 

@@ -21,12 +21,7 @@ from cellslam.slam.api import VtEstimate
 CUTOFF_M = 20.0  # a pair farther apart is a truth missed and a false estimate
 
 
-def gospa(truth_m: Floats, estimate_m: Floats) -> float:
-    """Return the GOSPA in m between positions (n, d) and (k, d) in m, either possibly empty."""
-    return gospa_of(cdist(truth_m, estimate_m))[0]
-
-
-def gospa_of(distance_m: Floats) -> tuple[float, Ints]:
+def gospa(distance_m: Floats) -> tuple[float, Ints]:
     """Return the GOSPA in m between n truths and k estimates at these distances d (n, k), and the pairs (m, 2) of them.
 
     With p = 2 and alpha = 2: the best assignment minimises the sum of d^2 over pairs nearer than the cut-off c, plus
@@ -56,7 +51,7 @@ def map_gospa(recording: Recording, truth: Truth, vts: VtEstimate) -> float | No
     apart = cdist(truth.vts.position_m, vts.position_m)
     apart[truth.vts.scatters[:, None] != vts.scatters] = np.inf
     distances = [
-        gospa_of(apart[detections[link] >= DETECTIONS_OF_A_TRUE_VT][:, mine == vts.link])[0]
+        gospa(apart[detections[link] >= DETECTIONS_OF_A_TRUE_VT][:, mine == vts.link])[0]
         for link, mine in enumerate(_keeper(vts.link, recording.links.site, link) for link in range(links))
     ]
     return float(np.mean(distances))

@@ -15,25 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.bound import DETECTIONS_OF_A_TRUE_VT
-from cellslam.benchmarks.scores.belief import (
-    AS_CLAIMED,
-    LEVELS,
-    Claim,
-    claimed_probability,
-    energy_score,
-    log_score,
-    ratio,
-    squared_error,
-    two_sided,
-)
-from cellslam.benchmarks.scores.map_scores import (
-    Tracks,
-    map_gospa,
-    precision_recall,
-    stand_for,
-    tracks_of,
-    transmitter_errors,
-)
+from cellslam.benchmarks.scores import belief, map_scores
+from cellslam.benchmarks.scores.belief import AS_CLAIMED, Claim
+from cellslam.benchmarks.scores.map_scores import Tracks
 from cellslam.benchmarks.scores.reference_fixes import at_fixes, compared, covariances_at_fixes, unled, usable, within
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.scores.walls import wall_scores
@@ -70,7 +54,12 @@ class Errors:
     @cached_property
     def squared(self) -> Floats:
         """The NEES (N,), NaN where nothing is claimed, or that there is no error."""
-        return squared_error(self.horizontal, self.covariance)
+        return belief.squared_error(self.horizontal, self.covariance)
+
+    @property
+    def heading_ratio(self) -> Floats:
+        """Sizes (K,) of the errors of the heading over their claimed deviations; NaN where none is claimed."""
+        return belief.ratio(self.heading, self.heading_variance)
 
     @cached_property
     def claimed(self) -> tuple[Floats, Floats]:
@@ -114,7 +103,7 @@ class Scored:
         truth, association = self.recording.truth, self.result.association
         if truth is None or association is None:
             return None
-        return tracks_of(self.recording.measurements.link, association, truth.measurement_vt)
+        return map_scores.tracks_of(self.recording.measurements.link, association, truth.measurement_vt)
 
     @cached_property
     def mapped(self) -> tuple[Floats, Floats, Ints]:
@@ -123,7 +112,7 @@ class Scored:
         truth, vts, association = self.recording.truth, self.result.vts, self.result.association
         if truth is None or vts is None or association is None or self.bound is None or self.bound.map is None:
             return np.zeros(0), np.zeros(0), np.zeros(0, np.int64)
-        of = stand_for(self.recording, vts, association)
+        of = map_scores.stand_for(self.recording, vts, association)
         known = np.flatnonzero(of >= 0)
         known = known[np.isfinite(self.bound.map.std_m[of[known]])]
         error = np.linalg.norm(vts.position_m[known] - truth.vts.position_m[of[known]], axis=1)
@@ -156,20 +145,20 @@ class Scored:
         truth, offset, variance = self.recording.truth, self.result.clock_offset_m, self.result.clock_offset_variance_m2
         if truth is None or offset is None or variance is None:
             return np.zeros(0)
-        return ratio((offset - truth.clock_offsets_at(self.recording.elapsed_s)).ravel(), variance.ravel())
+        return belief.ratio((offset - truth.clock_offsets_at(self.recording.elapsed_s)).ravel(), variance.ravel())
 
     @property
     def transmitter_m(self) -> Floats | None:
         """Errors of the sites' positions."""
         if self.tracks is None or self.result.vts is None:
             return None
-        return transmitter_errors(self.recording, self.result.vts, self.tracks)
+        return map_scores.transmitter_errors(self.recording, self.result.vts, self.tracks)
 
     @property
     def map_gospa_m(self) -> float | None:
         """GOSPA of the map of VTs."""
         truth, vts = self.recording.truth, self.result.vts
-        return None if truth is None or vts is None else map_gospa(self.recording, truth, vts)
+        return None if truth is None or vts is None else map_scores.map_gospa(self.recording, truth, vts)
 
     @cached_property
     def associated(self) -> tuple[float | None, float | None]:
@@ -177,7 +166,7 @@ class Scored:
         truth = self.recording.truth
         if truth is None or self.tracks is None:
             return None, None
-        return precision_recall(self.tracks, truth.measurement_vt)
+        return map_scores.precision_recall(self.tracks, truth.measurement_vt)
 
 
 @dataclass(frozen=True)
@@ -212,12 +201,12 @@ class Metric:
 def _coverage() -> Iterator[Metric]:
     """Yield the metrics that say how often errors lie within what is claimed to hold them so often."""
     of: dict[str, tuple[str, Callable[[Scored], Floats]]] = {
-        "coverage": ("horizontal position", lambda s: claimed_probability(s.errors.squared)),
-        "heading_coverage": ("heading", lambda s: two_sided(ratio(s.errors.heading, s.errors.heading_variance))),
-        "clock_coverage": ("clock offsets", lambda s: two_sided(s.clock_ratios)),
+        "coverage": ("horizontal position", lambda s: belief.claimed_probability(s.errors.squared)),
+        "heading_coverage": ("heading", lambda s: belief.two_sided(s.errors.heading_ratio)),
+        "clock_coverage": ("clock offsets", lambda s: belief.two_sided(s.clock_ratios)),
     }
     for name, (what, probability) in of.items():
-        for level in LEVELS:
+        for level in belief.LEVELS:
 
             def share(s: Scored, level: float = level, probability: Any = probability) -> float | None:
                 found = probability(s)
@@ -276,10 +265,10 @@ METRICS = (
            tables="trials suite report"),
     Metric("log_score", "nat", "log score", 2,
            "minus the logarithm of the density that was claimed for the true horizontal position, mean: less is better",
-           lambda s: _over(np.mean, log_score(*s.errors.claimed)), "log score", tables="report"),
+           lambda s: _over(np.mean, belief.log_score(*s.errors.claimed)), "log score", tables="report"),
     Metric("energy_score_m", "m", "energy score", 2,
            "energy score of the claimed horizontal position, mean: in m, and kinder to outliers than the log score",
-           lambda s: _over(np.mean, energy_score(*s.errors.claimed))),
+           lambda s: _over(np.mean, belief.energy_score(*s.errors.claimed))),
     *_coverage(),
     Metric("claimed_95_m", "m", "claimed 95 %", 2, "radius that is claimed to hold 95 % of the position, median",
            lambda s: _over(np.median, AS_CLAIMED.radius(s.errors.claimed[1], 0.05))),
@@ -389,21 +378,10 @@ def _errors(
 def errors_over_time(recording: Recording, poses: Floats) -> tuple[Floats, Floats] | None:
     """Return times (N,) in s and horizontal errors (N,) in m of poses (T, 6); None where nothing is known."""
     found = compared(recording, poses)
-    return (found[0], horizontal_error(found[2], found[1])) if found is not None and len(found[0]) else None
-
-
-def horizontal_error(truth_poses: Floats, poses: Floats) -> Floats:
-    """Return the horizontal distance (T,) in metres between two trajectories (T, 6) in the same frame."""
-    return np.hypot(poses[:, 0] - truth_poses[:, 0], poses[:, 1] - truth_poses[:, 1])
-
-
-def nees(truth_poses: Floats, poses: Floats, covariances: Floats) -> Floats:
-    """Return the normalised estimation error squared e^T P^-1 e (T,) of the horizontal position, dimensionless.
-
-    Its mean is 2 for a consistent estimator. NaN where the claimed covariance (T, 6, 6) has no inverse, as at a start
-    that is known exactly.
-    """
-    return squared_error(poses[:, :2] - truth_poses[:, :2], covariances[:, :2, :2])
+    if found is None or not len(found[0]):
+        return None
+    time_s, there, known = found
+    return time_s, np.hypot(*(there - known).T)
 
 
 def duration_s(recording: Recording) -> float:

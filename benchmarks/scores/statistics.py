@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,20 +42,19 @@ class Statistic:
     method: Literal["mean", "mean square", "share", "percentile"] = "percentile"
 
 
-@dataclass(frozen=True)
-class Paired:
-    """Differences of two estimators over the same worlds: their median with an interval, and a test.
+class Paired(NamedTuple):
+    """Differences of two estimators over the same worlds: their median with an interval, and a test; NaN without pairs.
 
-    `p_value`: Wilcoxon's signed-rank test of no difference (1945); None without pairs. `share_below`: in how many
-    pairs the first is below the second.
+    `p_value`: Wilcoxon's signed-rank test of no difference (1945). `share_below`: in how many pairs the first is below
+    the second.
     """
 
     pairs: int
-    median: float | None
-    low: float | None
-    high: float | None
-    p_value: float | None
-    share_below: float | None
+    median_difference: float
+    low: float
+    high: float
+    p_value: float
+    share_below: float
 
 
 def statistic(name: str) -> Statistic:
@@ -86,14 +85,12 @@ def interval(values: Floats, of: Statistic, confidence: float) -> tuple[float, f
 
     The draws are always the same, and so is the interval.
     """
-    from scipy.stats import binomtest, bootstrap
+    from scipy.stats import bootstrap
 
     if len(values) < LEAST_VALUES:
         return float("nan"), float("nan")
     if of.method == "share":
-        exceeding = round(float(of.of(values)) * len(values))
-        share = binomtest(exceeding, len(values)).proportion_ci(confidence, method="wilson")
-        return float(share.low), float(share.high)
+        return wilson(round(float(of.of(values)) * len(values)), len(values), confidence)
     if np.ptp(values) == 0.0:
         value = float(of.of(values))
         return value, value
@@ -111,6 +108,14 @@ def interval(values: Floats, of: Statistic, confidence: float) -> tuple[float, f
         batch=max(1, _BATCH // len(values)),
         rng=np.random.default_rng(0),
     ).confidence_interval
+    return float(found.low), float(found.high)
+
+
+def wilson(successes: int, trials: int, confidence: float) -> tuple[float, float]:
+    """Return Wilson's interval (1927) of a probability, from how many of independent trials were successes."""
+    from scipy.stats import binomtest  # which takes a second to load
+
+    found = binomtest(successes, trials).proportion_ci(confidence, method="wilson")
     return float(found.low), float(found.high)
 
 
@@ -171,23 +176,11 @@ def geometric_mean_ratio(first: Floats, second: Floats, confidence: float) -> tu
 def paired(first: Floats, second: Floats, confidence: float = 0.95) -> Paired:
     """Return how `first` (n,) differs from `second` (n,), of the same unit, trial by trial."""
     difference = np.asarray(first) - np.asarray(second)
-    count = len(difference)
-    if not count:
-        return Paired(0, None, None, None, None, None)
-    low, high = interval(difference, statistic("median"), confidence)
-    below, median = float(np.mean(difference < 0.0)), float(np.median(difference))
-    known = not np.isnan(low)
-    return Paired(count, median, low if known else None, high if known else None, wilcoxon_p(difference), below)
-
-
-def median_interval(values: Floats, confidence: float) -> tuple[float, float]:
-    """Return an interval of the median of `values` (n,), at least six, between two of them: for every distribution the
-    median is there with this confidence or more (order statistics)."""
-    from scipy.stats import binom
-
-    first = int(binom.ppf((1.0 - confidence) / 2.0, len(values), 0.5)) - 1
-    ordered = np.sort(values)
-    return float(ordered[first]), float(ordered[-1 - first])
+    if not len(difference):
+        return Paired(0, *[math.nan] * 5)
+    ends = interval(difference, statistic("median"), confidence)
+    below = float(np.mean(difference < 0.0))
+    return Paired(len(difference), float(np.median(difference)), *ends, wilcoxon_p(difference), below)
 
 
 def wilcoxon_p(difference: Floats) -> float:

@@ -3,7 +3,7 @@
 Sources: Demsar, "Statistical comparisons of classifiers over multiple data sets", J. Machine Learning Research 7, 2006
 (Friedman's test, Nemenyi's critical difference); Holm, "A simple sequentially rejective multiple test procedure",
 Scandinavian J. Statistics 6, 1979; Noether, "Sample size determination for some common nonparametric tests", J.
-American Statistical Association 82, 1987; Wilcoxon's signed-rank test and the interval of a median as in `statistics`.
+American Statistical Association 82, 1987; Wilcoxon's signed-rank test as in `statistics`.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from cellslam.benchmarks.scores.statistics import median_interval, wilcoxon_p
+from cellslam.benchmarks.scores.statistics import wilcoxon_p
 from cellslam.sim.recording import Floats
 
 LEVEL = 0.05  # of all tests
@@ -31,7 +32,8 @@ class Verdict:
 
     `mean_rank` (k,): 1 is the best in every trial. `friedman_p`: of all being equally good; NaN below three estimators.
     `critical_difference`: what two mean ranks must differ by, by Nemenyi's test. `difference` (k, k): median of row
-    minus column in the scores' unit, and its 95 % interval from `low` to `high` (k, k). `p_value` (k, k): Wilcoxon's
+    minus column in the scores' unit, with its 95 % interval from `low` to `high` (k, k), between two order statistics:
+    it holds for every distribution. `p_value` (k, k): Wilcoxon's
     test of the pair, corrected for all pairs by Holm's method; 1 on the diagonal. `trials_needed` (k, k): how many
     trials would show, with `POWER`, a pair that differs as it does here.
     """
@@ -73,7 +75,7 @@ def verdict(scores: Mapping[str, Floats]) -> Verdict | None:
     """
     if len(scores) < 2 or len(next(iter(scores.values()))) < LEAST_TRIALS:
         return None
-    from scipy.stats import friedmanchisquare, rankdata
+    from scipy.stats import friedmanchisquare, quantile_test, rankdata
 
     table = _failed_last(np.stack([np.asarray(column, np.float64) for column in scores.values()], axis=1))
     ranks = rankdata(table, axis=1).mean(axis=0)
@@ -87,7 +89,8 @@ def verdict(scores: Mapping[str, Floats]) -> Verdict | None:
     for (i, j), one, p in zip(combinations(range(count), 2), between, corrected, strict=True):
         p_value[i, j] = p_value[j, i] = p
         needed[i, j] = needed[j, i] = trials_needed(one)
-        difference[i, j], (low[i, j], high[i, j]) = np.median(one), median_interval(one, 1.0 - LEVEL)
+        ends: Any = quantile_test(one).confidence_interval(1.0 - LEVEL)
+        difference[i, j], low[i, j], high[i, j] = np.median(one), ends.low, ends.high
         difference[j, i], low[j, i], high[j, i] = -difference[i, j], -high[i, j], -low[i, j]
     friedman_p = float(friedmanchisquare(*table.T).pvalue) if count > 2 else float("nan")
     names = tuple(np.array(list(scores))[order].tolist())

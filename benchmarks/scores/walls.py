@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 from shapely import hausdorff_distance, linestrings
 
-from cellslam.benchmarks.scores.map_scores import gospa_of
+from cellslam.benchmarks.scores.map_scores import gospa
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording, Truth
 from cellslam.slam.api import WallEstimate
@@ -51,7 +51,7 @@ class Walls:
 def wall_scores(recording: Recording, truth: Truth, estimated: WallEstimate) -> dict[str, float | None]:
     """Return the scores of a map of walls by key, as docs/reference/conventions.md defines them."""
     true, found = true_walls(recording, truth), Walls(estimated.azimuth_rad, estimated.ends_m)
-    distance_m, pairs = gospa_of(hausdorff(true, found))
+    distance_m, pairs = gospa(hausdorff(true, found))
     a, b = pairs.T
     middles = true.ends_m[a].mean(axis=1)
     off = np.diagonal(Walls(found.azimuth_rad[b], found.ends_m[b]).across(middles))

@@ -1,7 +1,8 @@
 """Where tasks are worked off: in this process, in a pool of processes, or on a Dask cluster. All give the same rows.
 
-An executor takes tasks and yields the results of their jobs in any order. `main` is the worker's side of the pool; how
-a process is started, limited and ended is in `trials.child_process`.
+An executor is a function of tasks, which yields the results of their jobs, in any order, and what was lost with its
+worker. `main` is the worker's side of the pool; how a process is started, limited and ended is in
+`trials.child_process`.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from multiprocessing.connection import wait
-from typing import IO, Any, Protocol
+from typing import IO, Any
 
 from cellslam.benchmarks.sweeps.tasks import Began, Lost, Result, Task, work
 from cellslam.benchmarks.trials.child_process import POLL_S, START_LIMIT_S, ChildProcess, Limits, connect
@@ -31,22 +33,22 @@ TASKS_AHEAD = 4
 WORLD_LIMIT_S = 1800.0
 PRINTED_LAST = 4000
 
+Executor = Callable[[Iterable[Task]], Iterator[Result | Lost]]
 _of_thread = threading.local()
 
 
-class Executor(Protocol):
-    """Works off tasks: results in any order, and what was lost with its worker."""
-
-    def run(self, tasks: Iterable[Task]) -> Iterator[Result | Lost]:
-        """Yield results and losses as they come."""
-        ...
-
-
-def executor(name: str, jobs: int, limits: Limits, scheduler: str | None = None) -> AbstractContextManager[Executor]:
-    """Return the executor of that name as a context; `scheduler` is the address of a running Dask scheduler."""
+@contextmanager
+def executor(name: str, jobs: int, limits: Limits, scheduler: str | None = None) -> Iterator[Executor]:
+    """Give the executor of that name; `scheduler` is the address of a running Dask scheduler."""
     if name == "serial":
-        return Serial(limits)
-    return Pool(jobs, limits) if name == "processes" else _dask(jobs, limits, scheduler)
+        with one_thread(limits) as external:
+            yield partial(_one_by_one, external)
+    elif name == "processes":
+        with Pool(jobs, limits) as pool:
+            yield pool.run
+    else:
+        with _cluster(jobs, scheduler) as client:
+            yield partial(_on_cluster, client, limits)
 
 
 def cores() -> int:
@@ -54,31 +56,27 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-class Serial:
-    """This process, one thread; external estimators in processes of their own. Use as a context."""
+@contextmanager
+def one_thread(limits: Limits) -> Iterator[ExternalProcesses]:
+    """Let this process have one thread; give the processes of external estimators, each with one as well."""
+    import numba
+    from threadpoolctl import threadpool_limits
 
-    def __init__(self, limits: Limits) -> None:
-        self.external, self._open = ExternalProcesses(limits, one_thread=True), ExitStack()
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        with threadpool_limits(1), ExternalProcesses(limits, one_thread=True) as external:
+            yield external
+    finally:
+        numba.set_num_threads(threads)
 
-    def __enter__(self) -> Serial:
-        import numba
-        from threadpoolctl import threadpool_limits
 
-        self._open.callback(numba.set_num_threads, numba.get_num_threads())
-        numba.set_num_threads(1)
-        self._open.enter_context(threadpool_limits(1))
-        self._open.enter_context(self.external)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._open.close()
-
-    def run(self, tasks: Iterable[Task]) -> Iterator[Result | Lost]:
-        """Yield the results in order."""
-        for task in tasks:
-            for message in work(task, self.external):
-                if not isinstance(message, Began):
-                    yield message
+def _one_by_one(external: ExternalProcesses, tasks: Iterable[Task]) -> Iterator[Result | Lost]:
+    """Work off tasks in this process, in order."""
+    for task in tasks:
+        for message in work(task, external):
+            if not isinstance(message, Began):
+                yield message
 
 
 class Pool:
@@ -235,32 +233,26 @@ class _Worker(ChildProcess):
             yield task
 
 
-class Dask:
-    """A Dask cluster. Each of its threads keeps a worker process of its own, with the limits of the pool."""
+def _on_cluster(client: Any, limits: Limits, tasks: Iterable[Task]) -> Iterator[Result | Lost]:
+    """Work off tasks on a Dask cluster, each of whose threads keeps a worker process of its own, as the pool's. A Dask
+    worker that is lost costs what its tasks had not yet sent."""
+    waiting = iter(tasks)
+    futures: dict[Any, Task] = {}
+    done = import_module("distributed").as_completed()
 
-    def __init__(self, distributed: Any, client: Any, limits: Limits) -> None:
-        self._distributed, self.client, self.limits = distributed, client, limits
+    def submit() -> None:
+        for task in waiting:
+            future = client.submit(work_apart, task, limits, pure=False)
+            futures[future] = task
+            done.add(future)
+            if len(futures) >= TASKS_AHEAD * max(1, sum(client.nthreads().values())):
+                return
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[Result | Lost]:
-        """Yield the results as they come. A Dask worker that is lost costs what its tasks had not yet sent."""
-        waiting = iter(tasks)
-        futures: dict[Any, Task] = {}
-        done = self._distributed.as_completed()
-
-        def submit() -> None:
-            for task in waiting:
-                future = self.client.submit(work_apart, task, self.limits, pure=False)
-                futures[future] = task
-                done.add(future)
-                if len(futures) >= TASKS_AHEAD * max(1, sum(self.client.nthreads().values())):
-                    return
-
+    submit()
+    while futures:
+        future = next(done)
+        yield from _answers(future, futures.pop(future))
         submit()
-        while futures:
-            future = next(done)
-            task = futures.pop(future)
-            yield from _answers(future, task)
-            submit()
 
 
 def work_apart(task: Task, limits: Limits) -> list[Result | Lost]:
@@ -285,7 +277,8 @@ def _answers(future: Any, task: Task) -> Iterator[Result | Lost]:
 
 
 @contextmanager
-def _dask(jobs: int, limits: Limits, scheduler: str | None) -> Iterator[Executor]:
+def _cluster(jobs: int, scheduler: str | None) -> Iterator[Any]:
+    """Give a client of the scheduler at an address, or of a cluster on this machine."""
     try:
         distributed: Any = import_module("distributed")
     except ImportError as error:
@@ -293,11 +286,11 @@ def _dask(jobs: int, limits: Limits, scheduler: str | None) -> Iterator[Executor
     if scheduler is None:
         local = {"n_workers": jobs, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
         with distributed.LocalCluster(**local) as cluster, distributed.Client(cluster) as client:
-            yield Dask(distributed, client, limits)
+            yield client
         return
     try:
         client = distributed.Client(scheduler, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from error
     with client:
-        yield Dask(distributed, client, limits)
+        yield client

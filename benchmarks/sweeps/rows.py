@@ -97,14 +97,11 @@ def _settings(database: Connection) -> tuple[list[tuple[str, str, str]], dict[st
     """Return each (estimator, world, options) of the rows, and the value of every scenario key and option for each."""
     pairs = database.execute("SELECT DISTINCT estimator, world, options FROM rows").fetchall()
     try:
-        used = "SELECT id, tables FROM worlds WHERE id IN (SELECT world FROM rows)"
-        worlds = {i: json.loads(_whole(i, t)) for i, t in database.execute(used)}
+        worlds, options = _tables(database, "worlds", "world"), _tables(database, "options", "options")
         for world in worlds.values():
             world["map"] = dict(MapConfig()) | world.get("map", {})  # a world says nothing of a map or of one car
             world["scenario"] = world.pop("name")
         flat_worlds = {i: dict(flat(world)) for i, world in worlds.items()}
-        used = "SELECT id, tables FROM options WHERE id IN (SELECT options FROM rows)"
-        options = {i: json.loads(_whole(i, t)) for i, t in database.execute(used)}
         settings = [
             flat_worlds[world] | dict(flat(options[option] or {}, f"estimator.{estimator}."))
             for estimator, world, option in pairs
@@ -116,11 +113,14 @@ def _settings(database: Connection) -> tuple[list[tuple[str, str, str]], dict[st
     return pairs, {key: [_scalar(setting.get(key)) for setting in settings] for key in known}
 
 
-def _whole(name: str, tables: str) -> str:
-    """Return the text of a world or of options. Raises ValueError where it is not the one that its id is of."""
-    if identity(tables) != name:
-        raise ValueError(f"'{name}' is not the digest of its tables")
-    return tables
+def _tables(database: Connection, table: str, column: str) -> dict[str, Any]:
+    """Return the worlds or options that rows name in a column, by id. Raises ValueError where one is not that of its
+    id."""
+    found = dict(database.execute(f"SELECT id, tables FROM {table} WHERE id IN (SELECT {column} FROM rows)"))
+    for name, tables in found.items():
+        if identity(tables) != name:
+            raise ValueError(f"'{name}' is not the digest of its tables")
+    return {name: json.loads(tables) for name, tables in found.items()}
 
 
 def _wanted(keys: Sequence[str] | None, columns: Mapping[str, Sequence[Any]]) -> list[str]:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from cellslam.benchmarks.sweeps.store import DATABASE, SHARD, reading, statuses
 from cellslam.benchmarks.sweeps.tasks import Plan, Task, identity, is_known
+from cellslam.benchmarks.trials.output_files import writing
 from cellslam.sim.data_files import json_of, text_of
 from cellslam.sim.errors import InputError
 from cellslam.sim.files import write_durably
@@ -45,12 +46,10 @@ def note_shares(folder: Path, parts: Mapping[str, Plan]) -> None:
     """Keep the keys that each command is to make, so that others see what is missing. Raises InputError."""
     keys = {command: [job.key for task in part.tasks for job in task.jobs] for command, part in parts.items()}
     content, path = json.dumps(keys).encode(), folder / SHARES
-    try:
+    with writing(path, "give another --out"):
         # Every shard of a sweep writes the same.
         if not path.is_file() or path.read_bytes() != content:
             write_durably(path, content)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); give another --out") from error
 
 
 def noted_shares(folder: Path) -> dict[str, list[str]]:

@@ -246,7 +246,7 @@ def _has_tables(file: Path) -> bool:
     """Return whether a database is there, and more than a file whose making failed. Raises InputError."""
     if not file.is_file():
         return False
-    with _explained(file.parent, "read"), closing(sqlite3.connect(_address(file), uri=True)) as database:
+    with _opened(file, _address(file)) as database:
         return bool(database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0])
 
 
@@ -261,11 +261,7 @@ def reading(folder: Path) -> Iterator[sqlite3.Connection]:
         raise InputError(
             f"{folder}: no results of a run or sweep there (no {DATABASE}); 'cellslam sweep ... --out DIR' makes them"
         )
-    address = _address(files[0]) if len(files) == 1 else "file::memory:"
-    with (
-        _explained(files[0].parent, "read", files[0].name),
-        closing(sqlite3.connect(address, uri=True, isolation_level=None)) as database,
-    ):
+    with _opened(files[0], _address(files[0]) if len(files) == 1 else "file::memory:") as database:
         if len(files) == 1:
             _check_version(files[0], database)
         else:
@@ -288,7 +284,7 @@ def rows_per_s(folder: Path) -> float:
     rate = 0.0
     for file in databases(folder):
         written = max(one.stat().st_mtime for one in (file, Path(f"{file}-wal")) if one.exists())
-        with _explained(file.parent, "read", file.name), closing(sqlite3.connect(_address(file), uri=True)) as database:
+        with _opened(file, _address(file)) as database:
             last = "SELECT started, (SELECT count(*) FROM rows WHERE run = id) FROM runs ORDER BY id DESC"
             started, rows = database.execute(last).fetchone()
         span = max(written - datetime.fromisoformat(started).timestamp(), 1.0)
@@ -375,6 +371,16 @@ def _begin(folder: Path, database: sqlite3.Connection, command: str, versions: M
     with database:
         statement = "INSERT INTO runs (started, host, command, versions) VALUES (?, ?, ?, ?)"
         return int(database.execute(statement, made).lastrowid or 0)
+
+
+@contextmanager
+def _opened(file: Path, address: str) -> Iterator[sqlite3.Connection]:
+    """Open the database of that address, for reading; `file` is named where it cannot be read."""
+    with (
+        _explained(file.parent, "read", file.name),
+        closing(sqlite3.connect(address, uri=True, isolation_level=None)) as database,
+    ):
+        yield database
 
 
 def _address(file: Path) -> str:

@@ -21,24 +21,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cellslam.benchmarks.sweeps import tasks
 from cellslam.benchmarks.sweeps.executors import Executor
 from cellslam.benchmarks.sweeps.store import Note, Store, databases, lost_trajectories, reading, statuses, writing
-from cellslam.benchmarks.sweeps.tasks import (
-    Began,
-    Job,
-    Lost,
-    Plan,
-    Result,
-    Task,
-    identity,
-    is_known,
-    name_of,
-    plan,
-    recording_of,
-    request_of,
-    result_of,
-    work,
-)  # fmt: skip
+from cellslam.benchmarks.sweeps.tasks import Began, Job, Lost, Plan, Result, Task, identity
 from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.scenarios.sweep_points import Point
 from cellslam.sim.world import versions
@@ -66,13 +52,13 @@ def carry_out(plan: Plan, store: Store, executor: Executor, on_result: OnResult)
         on_result(task, job, result.row)
 
     lost: list[Lost] = []
-    for answer in executor.run(plan.tasks):
+    for answer in executor(plan.tasks):
         if isinstance(answer, Lost):
             lost.append(answer)
         else:
             keep(answer)
     for first in lost:
-        for answer in executor.run([first.task.only(first.job)]):
+        for answer in executor([first.task.only(first.job)]):
             keep(_given_up(first, answer) if isinstance(answer, Lost) else answer)
 
 
@@ -97,17 +83,18 @@ def keeping(
 
     Raises InputError where there can be no store, as on a network disk.
     """
-    work = plan([Point({}, scenario, tuple(requests))], trials, seed)
+    plan = tasks.plan([Point({}, scenario, tuple(requests))], trials, seed)
     with writing(folder, command, versions(), note) as store:
-        store.declare(work)
-        tasks = {task.trial: task for task in work.tasks}
+        store.declare(plan)
+        of_trial = {task.trial: task for task in plan.tasks}
 
         def keep(trial: Trial) -> None:
-            task = tasks[trial.number]
+            task = of_trial[trial.number]
             jobs = {job.estimator: job for job in task.jobs}
             for outcome in trial.outcomes:
                 job = jobs[outcome.row["estimator"]]
-                store.write(result_of(task, job, trial.drive, outcome), identity(task.world), identity(job.options))
+                result = tasks.result_of(task, job, trial.drive, outcome)
+                store.write(result, identity(task.world), identity(job.options))
 
         yield keep
 
@@ -130,7 +117,7 @@ def seconds_of(plan: Plan, external: ExternalProcesses) -> tuple[float, Mapping[
     spent: dict[str, list[float]] = {}
     names = {job.key: job.estimator for job in sample.jobs}
     begin, part = time.perf_counter(), "world"
-    for message in work(sample, external):
+    for message in tasks.work(sample, external):
         now = time.perf_counter()
         if isinstance(message, Began) and message.key is not None:
             if part == "world":
@@ -148,7 +135,7 @@ def _given_up(first: Lost, second: Lost) -> Result:
 
     again = "alone it was lost again" if second.reason == first.reason else f"alone: {second.reason}"
     task, job = first.task, first.job
-    row = failed_row(name_of(task.world), job.estimator, task.trial, task.seed, f"{first.reason}; {again}")
+    row = failed_row(tasks.name_of(task.world), job.estimator, task.trial, task.seed, f"{first.reason}; {again}")
     return Result(job.key, row, second.details or first.details, oracle=job.oracle)
 
 
@@ -156,12 +143,12 @@ def _compile(task: Task, external: ExternalProcesses) -> None:
     from cellslam.benchmarks.bound.cramer_rao import bound
     from cellslam.benchmarks.trials.estimation import warm_up
 
-    recording = recording_of(task)
-    if not is_known(task.world):
+    recording = tasks.recording_of(task)
+    if not tasks.is_known(task.world):
         bound(recording)
     for job in task.jobs:
         try:
-            request = request_of(job)
+            request = tasks.request_of(job)
             (external.warm_up if request.external else warm_up)(request)
         except Exception:
             # The trial itself will say so in its row.

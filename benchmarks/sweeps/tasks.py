@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -197,16 +197,13 @@ def work(task: Task, external: ExternalProcesses) -> Iterator[Began | Result | L
 
     yield Began(None)
     requests = [request_of(job) for job in task.jobs]
-
-    def make() -> Recording:
-        return recording_of(task)
-
-    name, known_world, before = name_of(task.world), is_known(task.world), NOTHING
-    if not known_world:
+    name, simulated, before = name_of(task.world), not is_known(task.world), NOTHING
+    if simulated:
         scenario = scenario_of(task.world)
         before = Before(scenario.map, scenario, task.seed, task.trial)
+    make = partial(recording_of, task)
     drive, outcomes = score_trial(
-        make, name, requests, task.trial, task.seed, external, bounded=not known_world, before=before
+        make, name, requests, task.trial, task.seed, external, bounded=simulated, before=before
     )
     for job, request in zip(task.jobs, requests, strict=True):
         yield Began(job.key, request.external)

@@ -6,7 +6,7 @@ import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,52 +22,37 @@ if TYPE_CHECKING:
     from cellslam.sim.recording import Floats, Recording
 
 Singles = NDArray[np.float32]
-# Sizes of the columns: T snapshots, S sites, V final VTs, K of them that stand for one that has a bound.
-SHAPES = {
-    "time_s": "T", "poses": "T6", "error_m": "T", "nees": "T", "std_m": "T", "bound_std_m": "T", "offset_error_m": "TS",
-    "offset_std_m": "TS", "vt_m": "V3", "vt_link": "V", "vt_first": "V", "vt_nees": "V", "horizontal_m": "T2",
-    "covariance_m2": "T3", "heading_error_rad": "T", "heading_std_rad": "T", "map_error_m": "K", "map_bound_m": "K",
-    "map_times_seen": "K",
-}  # fmt: skip
-# Not in files of before.
-LATER = (
-    *("horizontal_m", "covariance_m2", "heading_error_rad", "heading_std_rad"),
-    *("map_error_m", "map_bound_m", "map_times_seen"),
-)
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Columns in single precision over T snapshots, S sites, V final VTs; a column that does not apply is empty.
+    """Columns in single precision, with their sizes; a column that does not apply is empty.
 
-    `time_s` (T,) from 0; `poses` (T, 6); `error_m`, `nees`, `std_m` (claimed), `bound_std_m` (T,), horizontal;
-    `offset_error_m`, `offset_std_m` (T, S); `vt_m` (V, 3); `vt_link` (V,); `vt_first` (V,): snapshot of the first
-    measurement that was associated with the VT, -1 where that is not known; `vt_nees` (V,): its normalised error
-    squared (3 is right), NaN where it stands for no true VT. `horizontal_m` (T, 2): estimate less truth;
-    `covariance_m2` (T, 3): xx, xy and yy of its claim; `heading_error_rad`, `heading_std_rad` (T,). `map_error_m`,
-    `map_bound_m`, `map_times_seen` (K,): of the final VTs that stand for a true one with a bound, and in how many
-    snapshots that was seen.
+    T: snapshots, S: sites, V: final VTs, K: those that stand for a true one with a bound. `time_s` begins with 0;
+    `error_m`, `nees`, `std_m` (claimed), `bound_std_m`: horizontal. `vt_first`: snapshot of the first measurement that
+    was associated with the VT, -1 where that is not known; `vt_nees`: its normalised error squared (3 is right), NaN
+    where it stands for no true VT. `horizontal_m`: estimate less truth; `covariance_m2`: xx, xy and yy of its claim.
+    `map_times_seen`: in how many snapshots the true VT was seen.
     """
 
-    time_s: Singles
-    poses: Singles
-    error_m: Singles
-    nees: Singles
-    std_m: Singles
-    bound_std_m: Singles
-    offset_error_m: Singles
-    offset_std_m: Singles
-    vt_m: Singles
-    vt_link: NDArray[np.int32]
-    vt_first: NDArray[np.int32]
-    vt_nees: Singles
-    horizontal_m: Singles
-    covariance_m2: Singles
-    heading_error_rad: Singles
-    heading_std_rad: Singles
-    map_error_m: Singles
-    map_bound_m: Singles
-    map_times_seen: NDArray[np.int32]
+    time_s: Annotated[Singles, "T"]
+    poses: Annotated[Singles, "T6"]
+    error_m: Annotated[Singles, "T"]
+    nees: Annotated[Singles, "T"]
+    std_m: Annotated[Singles, "T"]
+    bound_std_m: Annotated[Singles, "T"]
+    offset_error_m: Annotated[Singles, "TS"]
+    offset_std_m: Annotated[Singles, "TS"]
+    vt_m: Annotated[Singles, "V3"]
+    vt_first: Annotated[NDArray[np.int32], "V"]
+    vt_nees: Annotated[Singles, "V"]
+    horizontal_m: Annotated[Singles, "T2"]
+    covariance_m2: Annotated[Singles, "T3"]
+    heading_error_rad: Annotated[Singles, "T"]
+    heading_std_rad: Annotated[Singles, "T"]
+    map_error_m: Annotated[Singles, "K"]
+    map_bound_m: Annotated[Singles, "K"]
+    map_times_seen: Annotated[NDArray[np.int32], "K"]
 
     @property
     def errors(self) -> Errors:
@@ -79,13 +64,16 @@ class Trajectory:
         return Errors(*(np.asarray(column, np.float64) for column in columns))
 
 
+SHAPES = {name: hint.__metadata__[0] for name, hint in get_type_hints(Trajectory, include_extras=True).items()}
+
+
 def trajectory(recording: Recording, result: TrialResult, limit: BoundResult | None) -> Trajectory:
     """Return what is kept of one result."""
     truth, empty = recording.truth, np.empty(0)
     offset, variance = result.clock_offset_m, result.clock_offset_variance_m2
     scored = Scored(recording, result, limit)
-    elapsed_s, vts, errors = recording.elapsed_s, result.vts, scored.errors
-    known = truth is not None
+    elapsed_s, vts = recording.elapsed_s, result.vts
+    errors = NO_ERRORS if truth is None else scored.errors
 
     def single(column: Any) -> Singles:
         return np.asarray(column, np.float32)
@@ -93,20 +81,19 @@ def trajectory(recording: Recording, result: TrialResult, limit: BoundResult | N
     return Trajectory(
         time_s=single(elapsed_s),
         poses=single(result.poses),
-        error_m=single(errors.position if known else empty),
-        nees=single(errors.squared if known else empty),
+        error_m=single(errors.position),
+        nees=single(errors.squared),
         std_m=single(result.position_std_m),
         bound_std_m=single(empty if limit is None else limit.horizontal_std_m),
         offset_error_m=single(empty if truth is None or offset is None else offset - truth.clock_offsets_at(elapsed_s)),
         offset_std_m=single(empty if variance is None else np.sqrt(np.maximum(variance, 0.0))),
         vt_m=single(np.empty((0, 3)) if vts is None else vts.position_m),
-        vt_link=np.asarray(empty if vts is None else vts.link, np.int32),
-        vt_first=_first_associated(recording, result).astype(np.int32),
+        vt_first=_first_associated(recording, result),
         vt_nees=single(_vt_nees(recording, result)),
-        horizontal_m=single(errors.horizontal if known else empty),
-        covariance_m2=single(errors.covariance.reshape(-1, 4)[:, [0, 1, 3]] if known else empty),
-        heading_error_rad=single(errors.heading if known else empty),
-        heading_std_rad=single(np.sqrt(np.maximum(errors.heading_variance, 0.0)) if known else empty),
+        horizontal_m=single(errors.horizontal),
+        covariance_m2=single(errors.covariance.reshape(-1, 4)[:, [0, 1, 3]]),
+        heading_error_rad=single(errors.heading),
+        heading_std_rad=single(np.sqrt(np.maximum(errors.heading_variance, 0.0))),
         map_error_m=single(scored.mapped[0]),
         map_bound_m=single(scored.mapped[1]),
         map_times_seen=scored.mapped[2].astype(np.int32),
@@ -116,18 +103,17 @@ def trajectory(recording: Recording, result: TrialResult, limit: BoundResult | N
 def pack(kept: Trajectory) -> bytes:
     """Return the compressed file of a trajectory, in NumPy's npz format."""
     file = io.BytesIO()
-    np.savez_compressed(file, **{name: getattr(kept, name) for name in Trajectory.__dataclass_fields__})
+    np.savez_compressed(file, **{name: getattr(kept, name) for name in SHAPES})
     return file.getvalue()
 
 
 def unpack(path: Path) -> Trajectory:
     """Return the trajectory of a file. Raises InputError when it cannot be read."""
     try:
-        held = arrays_of(path)
-        held = {name: np.empty(0, np.float32) for name in LATER} | dict(held)
+        held = dict.fromkeys(SHAPES, np.empty(0, np.float32)) | arrays_of(path)  # older files lack some columns
         _check_shapes(held)
         return Trajectory(**{name: held[name] for name in SHAPES})
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{path}: not a trajectory file ({' '.join(str(error).split())})") from error
 
 
@@ -150,14 +136,8 @@ def _vt_nees(recording: Recording, result: TrialResult) -> Floats:
     return vt_nees(recording, result.vts, result.association)
 
 
-def _first_associated(recording: Recording, result: TrialResult) -> NDArray[np.int64]:
-    if result.vts is None:
-        return np.empty(0, np.int64)
-    first = np.full(len(result.vts.id), -1, np.int64)
-    if result.association is None:
-        return first
-    ids, row = np.unique(result.association, return_index=True)
-    place = np.searchsorted(ids, result.vts.id).clip(max=max(len(ids) - 1, 0))
-    known = ids[place] == result.vts.id if len(ids) else np.zeros(len(first), bool)
-    first[known] = recording.measurements.snapshot[row[place[known]]]
-    return first
+def _first_associated(recording: Recording, result: TrialResult) -> NDArray[np.int32]:
+    ids = [] if result.vts is None else result.vts.id.tolist()
+    known, row = np.unique([] if result.association is None else result.association, return_index=True)
+    first = dict(zip(known.tolist(), recording.measurements.snapshot[row].tolist(), strict=True))
+    return np.array([first.get(one, -1) for one in ids], np.int32)

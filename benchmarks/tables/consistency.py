@@ -16,11 +16,11 @@ from scipy.special import chdtri
 
 from cellslam.benchmarks.scores.belief import claimed_probability, ratio, two_sided
 from cellslam.benchmarks.scores.metrics import Scored
+from cellslam.benchmarks.scores.statistics import wilson
 from cellslam.benchmarks.scores.trial_result import TrialResult
-from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import trajectory_of
 from cellslam.benchmarks.sweeps.trajectories import Trajectory
-from cellslam.benchmarks.tables.summaries import CONFIDENCE, Layout, groups, row_keys
+from cellslam.benchmarks.tables.summaries import CONFIDENCE, Layout, groups, ok_rows, row_keys
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Ints, Recording
 
@@ -50,8 +50,8 @@ def claimed_in(one: Trajectory) -> Claimed:
 def claimed_by(recording: Recording, result: TrialResult) -> Claimed:
     """Return what a result claims of a drive with truth or reference."""
     scored = Scored(recording, result, None)
-    heading = ratio(scored.errors.heading, scored.errors.heading_variance)
-    return _known(claimed_probability(scored.errors.squared), two_sided(heading), two_sided(scored.clock_ratios))
+    errors, clock = scored.errors, scored.clock_ratios
+    return _known(claimed_probability(errors.squared), two_sided(errors.heading_ratio), two_sided(clock))
 
 
 def _known(*columns: Floats) -> Claimed:
@@ -74,9 +74,8 @@ def consistency(folder: str | Path, times: int = 10, rows: Sequence[str] | None 
     if times < 1:
         raise InputError(f"times = {times}: must be at least 1")
     keys = row_keys(folder, Layout(rows=rows))
-    frame = results(folder, [*keys, "key", "status"])
     lines = []
-    for values, group in groups(frame[frame["status"] == "ok"], keys):
+    for values, group in groups(ok_rows(folder, keys), keys):
         read = (trajectory_of(Path(folder), key) for key in group["key"])
         known = (one for one in read if one is not None and len(one.nees))
         lines += [{**values, **line} for line in _over_time(known, times)]
@@ -105,22 +104,17 @@ def _over_time(drives: Iterable[Trajectory], times: int) -> Iterator[dict[str, A
         squared = np.array([own[number] for own in nees])
         squared = squared[np.isfinite(squared)]
         low, high = nees_band(len(squared)) if len(squared) else (None, None)
-        mean = float(squared.mean()) if len(squared) else None
-        position = _share("position", squared <= chdtri(2, 1.0 - CONFIDENCE))
         ratio = np.concatenate([own[number] for own in ratios])
-        clock = _share("clock", ratio[~np.isnan(ratio)] <= SIGMAS)  # a clock that was known has no ratio
         last = number == times - 1
-        vt = _share("vt", np.concatenate(vts) <= chdtri(3, 1.0 - CONFIDENCE) if last else np.zeros(0, bool))
-        time_s = float(np.median([own[number] for own in moments]))
         yield {
-            "time_s": time_s,
+            "time_s": float(np.median([own[number] for own in moments])),
             "trials": len(nees),
-            "nees": mean,
+            "nees": float(squared.mean()) if len(squared) else None,
             "nees_low": low,
             "nees_high": high,
-            **position,
-            **clock,
-            **vt,
+            **_share("position", squared <= chdtri(2, 1.0 - CONFIDENCE)),
+            **_share("clock", ratio[~np.isnan(ratio)] <= SIGMAS),  # a clock that was known has no ratio
+            **_share("vt", np.concatenate(vts) <= chdtri(3, 1.0 - CONFIDENCE) if last else np.zeros(0, bool)),
         }
 
 
@@ -132,11 +126,7 @@ def _clock_ratios(one: Trajectory, at: Ints) -> Any:
 
 
 def _share(name: str, inside: Any) -> dict[str, Any]:
-    from scipy.stats import binomtest  # which takes a second to load
-
-    count = len(inside)
-    numbers: tuple[float | None, ...] = (None, None, None)
-    if count:
-        found = binomtest(int(inside.sum()), count).proportion_ci(CONFIDENCE, method="wilson")
-        numbers = (float(inside.mean()), float(found.low), float(found.high))
-    return dict(zip((f"{name}_share", f"{name}_low", f"{name}_high", f"{name}s"), (*numbers, count), strict=True))
+    share, low, high = None, None, None
+    if len(inside):
+        share, (low, high) = float(inside.mean()), wilson(int(inside.sum()), len(inside), CONFIDENCE)
+    return {f"{name}_share": share, f"{name}_low": low, f"{name}_high": high, f"{name}s": len(inside)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,8 @@ LONG, TOO_WIDE = 1e3, 1e5  # without decimals; as a power of ten: a spoilt covar
 _KEY = re.compile(rf"\b({'|'.join(METRIC)})\b")
 _CLASS = re.compile(r"[\w.]+:(?=\w)")
 _LATEX = {c: f"\\{c}" for c in "&%$#_{}"} | {"\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\^{}"}
+
+Columns = Mapping[str, Callable[[Mapping[Any, Any]], str]]  # by heading: the text of a column, of a tidy line
 
 
 @dataclass(frozen=True)
@@ -132,40 +134,66 @@ def summary_grid(tidy: pd.DataFrame, keys: Sequence[str], columns: str | None, o
 
 def consistency_grid(tidy: pd.DataFrame, keys: Sequence[str], oracles: frozenset[str]) -> Grid:
     """Return the grid of how consistent covariances are with the errors, a line for each moment."""
-    lines = []
-    for line in tidy.to_dict("records"):
-        row = (_label(key, line[key], oracles) for key in keys)
-        band = f"{number(line['nees_low'])} to {number(line['nees_high'])}"
-        shares = (_percent(line, name) for name in ("position", "clock", "vt"))
-        lines.append((*row, f"{line['time_s']:.0f}", number(line["nees"]), band, *shares, str(line["trials"])))
-    headings = (
-        "time (s)",
-        "NEES",
-        "95 % if consistent",
-        "positions in 95 %",
-        "clocks in 2 sigma",
-        "VTs in 95 %",
-        "trials",
-    )
-    notes = ("NEES: of the horizontal position, mean over trials; shares with 95 % intervals; VTs: those at the end",)
-    return Grid((*keys, *headings), tuple(lines), len(keys), notes)
+    columns: Columns = {
+        "time (s)": lambda line: f"{line['time_s']:.0f}",
+        "NEES": lambda line: number(line["nees"]),
+        "95 % if consistent": lambda line: f"{number(line['nees_low'])} to {number(line['nees_high'])}",
+        "positions in 95 %": lambda line: _percent(line, "position"),
+        "clocks in 2 sigma": lambda line: _percent(line, "clock"),
+        "VTs in 95 %": lambda line: _percent(line, "vt"),
+        "trials": lambda line: str(line["trials"]),
+    }
+    note = "NEES: of the horizontal position, mean over trials; shares with 95 % intervals; VTs: those at the end"
+    return _grid(tidy, keys, columns, (note,), oracles)
 
 
 def integrity_grid(tidy: pd.DataFrame, keys: Sequence[str], oracles: frozenset[str], risk: float) -> Grid:
     """Return the grid of protection levels, and of how often they mislead."""
-    lines = []
-    for line in tidy.to_dict("records"):
-        row = (_label(key, line[key], oracles) for key in keys)
-        metres = (number(line["protection_m"]), number(line["served_m"]))
-        shares = (f"{line[name]:.2g} [{line[f'{name}_high']:.2g}]" for name in ("misleading", "hazardous"))
-        available = f"{100 * line['availability']:.1f} %"
-        lines.append(
-            (*row, line["claims"], f"{line['alert_limit_m']:g}", *metres, available, *shares, str(line["drives"]))
-        )
-    headings = ("claims", "alert limit (m)", "protection (m)", "99 % served (m)", "available", "misleading [below]",
-                "hazardous [below]", "drives")  # fmt: skip
+    columns: Columns = {
+        "alert limit (m)": lambda line: f"{line['alert_limit_m']:g}",
+        "protection (m)": lambda line: number(line["protection_m"]),
+        "99 % served (m)": lambda line: number(line["served_m"]),
+        "available": lambda line: f"{100 * line['availability']:.1f} %",
+        "misleading [below]": lambda line: f"{line['misleading']:.2g} [{line['misleading_high']:.2g}]",
+        "hazardous [below]": lambda line: f"{line['hazardous']:.2g} [{line['hazardous_high']:.2g}]",
+        "drives": lambda line: str(line["drives"]),
+    }
     note = f"risk {risk:g}; in brackets upper {100 * CONFIDENCE:g} % limits over independent drives"
-    return Grid((*keys, *headings), tuple(lines), len(keys) + 1, (note,))
+    return _grid(tidy, [*keys, "claims"], columns, (note,), oracles)
+
+
+def comparison_grid(tidy: pd.DataFrame, keys: Sequence[str], first: str, second: str, percent: float) -> Grid:
+    """Return the grid of paired differences."""
+
+    def interval(line: Mapping[Any, Any]) -> str:
+        low, high = (number(line[end], line["metric"]) for end in ("low", "high"))
+        return "-" if _missing(line["low"]) else f"{low} to {high}"
+
+    columns: Columns = {
+        "median difference": lambda line: number(line["median_difference"], line["metric"]),
+        f"{percent:g} % interval": interval,
+        "p": lambda line: "-" if _missing(line["p_value"]) else f"{line['p_value']:.2g}",
+        f"{first} below": lambda line: "-" if _missing(line["share_below"]) else f"{100 * line['share_below']:.0f} %",
+        "pairs": lambda line: str(line["pairs"]),
+        "left out": lambda line: str(line["left_out"]),
+    }
+    what = f"{tidy['metric'].iloc[0]}: {first} minus {second}, the same worlds" if len(tidy) else "no common worlds"
+    return _grid(tidy, keys, columns, (what, "p: Wilcoxon's signed-rank test of no difference, each line by itself"))
+
+
+def _grid(
+    tidy: pd.DataFrame,
+    keys: Sequence[str],
+    columns: Columns,
+    notes: tuple[str, ...],
+    oracles: frozenset[str] = frozenset(),
+) -> Grid:
+    """Return the grid of tidy lines: the `keys` of each, and what the columns say of it."""
+    lines = tuple(
+        (*(_label(key, line[key], oracles) for key in keys), *(text(line) for text in columns.values()))
+        for line in tidy.to_dict("records")
+    )
+    return Grid((*keys, *columns), lines, len(keys), notes)
 
 
 def _percent(line: Mapping[Any, Any], name: str) -> str:
@@ -173,27 +201,6 @@ def _percent(line: Mapping[Any, Any], name: str) -> str:
         return "-"
     share, low, high = (100.0 * line[f"{name}_{part}"] for part in ("share", "low", "high"))
     return f"{share:.0f} % [{low:.0f}, {high:.0f}]"
-
-
-def comparison_grid(tidy: pd.DataFrame, keys: Sequence[str], first: str, second: str, percent: float) -> Grid:
-    """Return the grid of paired differences."""
-    headings = ("median difference", f"{percent:g} % interval", "p", f"{first} below", "pairs", "left out")
-    lines = []
-    for line in tidy.to_dict("records"):
-        metric = line["metric"]
-        p_value, share = line["p_value"], line["share_below"]
-        cells = (
-            number(line["median_difference"], metric),
-            "-" if _missing(line["low"]) else f"{number(line['low'], metric)} to {number(line['high'], metric)}",
-            "-" if _missing(p_value) else f"{p_value:.2g}",
-            "-" if _missing(share) else f"{100 * share:.0f} %",
-            str(line["pairs"]),
-            str(line["left_out"]),
-        )
-        lines.append((*(_label(key, line[key], frozenset()) for key in keys), *cells))
-    what = f"{tidy['metric'].iloc[0]}: {first} minus {second}, the same worlds" if len(tidy) else "no common worlds"
-    test = "p: Wilcoxon's signed-rank test of no difference, each line by itself"
-    return Grid((*keys, *headings), tuple(lines), len(keys), (what, test))
 
 
 def _counted(counts: set[tuple[int, int]]) -> str:
@@ -212,7 +219,12 @@ def _label(key: str, value: Any, oracles: frozenset[str]) -> str:
     if _missing(value):
         return "-"
     text = f"{value:g}" if isinstance(value, float) else str(value)
-    return f"{text} (oracle)" if key == "estimator" and text in oracles else text
+    return marked(text, oracles) if key == "estimator" else text
+
+
+def marked(estimator: str, oracles: Collection[str]) -> str:
+    """Return an estimator's name, which says so where it was shown the truth."""
+    return f"{estimator} (oracle)" if estimator in oracles else estimator
 
 
 def _missing(value: Any) -> bool:

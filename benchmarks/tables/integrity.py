@@ -34,9 +34,8 @@ import numpy as np
 from cellslam.benchmarks.scores.belief import AS_CLAIMED, Claim
 from cellslam.benchmarks.scores.metrics import ALERT_LIMIT_M, NO_ERRORS, RISK, Errors
 from cellslam.benchmarks.scores.statistics import upper_limit
-from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import trajectory_of
-from cellslam.benchmarks.tables.summaries import CONFIDENCE, Layout, groups, row_keys
+from cellslam.benchmarks.tables.summaries import CONFIDENCE, Layout, groups, ok_rows, row_keys
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
 
@@ -115,7 +114,7 @@ def integrity(
     question = question or Question()
     keys = row_keys(folder, Layout(rows=rows))
     lines = []
-    for values, group in groups(_fine(folder, [*keys, "estimator", *DRIVE]), keys):
+    for values, group in groups(ok_rows(folder, [*keys, "estimator", *DRIVE]), keys):
         names = set(group["estimator"])
         kept = _errors(Path(folder), group)
         if not kept:
@@ -136,7 +135,7 @@ def integrity(
 def fit_overbound(folder: str | Path, risk: float = RISK) -> Overbound:
     """Return the overbound of each estimator over all drives of a sweep. Raises InputError."""
     Question(risk)
-    frame = _fine(folder, ["estimator", *DRIVE])
+    frame = ok_rows(folder, ["estimator", *DRIVE])
     claims = {}
     for values, group in groups(frame, ["estimator"]):
         squared = [one.squared[np.isfinite(one.squared)] for _, one in _errors(Path(folder), group)]
@@ -178,11 +177,6 @@ def regions(error: Floats, level: Floats, alert_limit_m: float) -> dict[str, flo
 def _reach(p: Floats, freedom: float) -> Floats:
     """Return the squared error (n,) that is exceeded with probability p (n,): the inverse of `Claim.beyond`."""
     return np.asarray(-2.0 * np.log(p) if math.isinf(freedom) else freedom * (p ** (-2.0 / freedom) - 1.0))
-
-
-def _fine(folder: str | Path, keys: Sequence[str]) -> pd.DataFrame:
-    frame = results(folder, list(dict.fromkeys([*keys, "key", "status"])))
-    return frame[frame["status"] == "ok"]
 
 
 def _errors(folder: Path, rows: pd.DataFrame) -> list[tuple[Drive, Errors]]:

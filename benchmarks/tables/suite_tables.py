@@ -11,15 +11,8 @@ import numpy as np
 from cellslam.benchmarks.scores.metrics import COST_KEYS
 from cellslam.benchmarks.scores.statistics import efficiency_ratio
 from cellslam.benchmarks.scores.verdicts import POWER, Verdict
-from cellslam.benchmarks.tables.formats import Column, Grid, bracketed, cell, columns_of, markdown, number
-from cellslam.benchmarks.tables.rankings import (
-    ALL,
-    effects_table,
-    map_builders,
-    significant_pairs,
-    verdict_table,
-    verdicts,
-)
+from cellslam.benchmarks.tables import rankings
+from cellslam.benchmarks.tables.formats import Column, Grid, bracketed, cell, columns_of, markdown, marked, number
 from cellslam.benchmarks.tables.suite_rows import SuiteRows
 from cellslam.benchmarks.tables.summaries import BOUNDED, CONFIDENCE, EFFICIENCY, MERGED, OF_MAP, RATIO_OF, RATIOS
 from cellslam.scenarios.suites import Suite, superseded_by
@@ -45,14 +38,16 @@ def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") 
     one, trials = some.suite, some.trials
     title = one.name if some.whole else f"{one.name}, a part: trials 0 to {trials - 1} of {', '.join(some.scenarios)}"
     title += f", with {', '.join(some.changed)}" if some.changed else ""
-    judged, power = verdicts(some.panels, some.oracles), verdicts(map_builders(some.panels))
+    judged, power = rankings.verdicts(some.panels, some.oracles), rankings.verdicts(rankings.map_builders(some.panels))
     versions = ", ".join(f"{name} {text}" for name, text in some.versions.items())
+    lacking = [] if some.whole else ["all scenarios and trials"]
+    lacking += ["the options that estimators have themselves"] if some.changed else []
     about = (
         f"Root seed {one.seed}, trials 0 to {trials - 1} of each scenario{_fewer(some)}. Medians over trials. {RULES}"
     )
     head = [
         f"# Accuracy: {title}",
-        "" if some.result else f"\nNot the suite's result: it takes {_what_a_result_takes(some)}.\n",
+        f"\nNot the suite's result: it takes {' and '.join(lacking)}.\n" if lacking else "",
         *([f"Superseded by `{newer}`.\n"] if (newer := superseded_by(one)) else []),
         _filled(about),
         _filled(f"Made with {versions}, on {some.machine}, by"),
@@ -63,20 +58,17 @@ def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") 
         _scenario(name, rows, some.oracles, judged.get(name), power.get(name)) for name, rows in some.panels.items()
     ]
     if len(some.scenarios) > 1:
-        whole = [f"\n## All scenarios\n\n{standings(some, judged)}", *_judged(judged.get(ALL), power.get(ALL))]
-        parts.insert(0, "\n".join([*whole, *([f"\n![Mean ranks]({picture})"] if picture else [])]))
+        whole = ["\n## All scenarios\n", standings(some, judged)]
+        whole += _judged(judged.get(rankings.ALL), power.get(rankings.ALL))
+        whole += [f"\n![Mean ranks]({picture})"] if picture else []
+        parts.insert(0, "\n".join(whole))
     return "\n".join([*head, *parts]).rstrip() + "\n"
-
-
-def _what_a_result_takes(some: SuiteRows) -> str:
-    lacking = () if some.whole else ("all scenarios and trials",)
-    return " and ".join((*lacking, *(("the options that estimators have themselves",) if some.changed else ())))
 
 
 def leaderboard_markdown(some: SuiteRows, made_with: dict[str, str], command: str, picture: str) -> str:
     """Return the page of a leaderboard. `made_with`: the version of cellslam by estimator; `picture`: the diagram."""
     one = some.suite
-    judged, power = verdicts(some.panels, some.oracles), verdicts(map_builders(some.panels))
+    judged, power = rankings.verdicts(some.panels, some.oracles), rankings.verdicts(rankings.map_builders(some.panels))
     scenarios = ", ".join(f"`{name}`" for name in one.scenarios)
     about = (
         f"How estimators compare on `{one.name}`: {one.trials} drives of each of {scenarios} (root seed {one.seed}"
@@ -87,8 +79,8 @@ def leaderboard_markdown(some: SuiteRows, made_with: dict[str, str], command: st
         f"# Leaderboard: {one.name}\n",
         f"{_filled(about)}\n",
         standings(some, judged, made_with),
-        *_judged(judged.get(ALL), power.get(ALL)),
-        *_effects(power.get(ALL)),
+        *_judged(judged.get(rankings.ALL), power.get(rankings.ALL)),
+        *_effects(power.get(rankings.ALL)),
         f"\n![Mean ranks and critical differences]({picture})\n",
         _yours(one),
         f"This page is made by\n\n    {command}",
@@ -108,7 +100,7 @@ def _fewer(some: SuiteRows) -> str:
 
 def standings(some: SuiteRows, judged: dict[str, Verdict], made_with: dict[str, str] | None = None) -> str:
     """Return the table over all scenarios: a line an estimator, the best mean rank first, oracles last."""
-    overall = judged.get(ALL)
+    overall = judged.get(rankings.ALL)
     rank = dict(zip(overall.names, overall.mean_rank.tolist(), strict=True)) if overall else {}
     names = sorted(
         some.rows["estimator"].unique(), key=lambda name: (name in some.oracles, rank.get(name, np.inf), name)
@@ -120,7 +112,7 @@ def standings(some: SuiteRows, judged: dict[str, Verdict], made_with: dict[str, 
         medians = (cell(fine[fine["scenario"] == scenario], Column("position_rmse_m")) for scenario in some.scenarios)
         costs = (cell(fine, column) for column in COSTS)
         cells = (number(rank.get(name)), _overall_efficiency(fine), *medians, *costs, f"{len(fine)}/{len(rows)}")
-        lines.append((_marked(name, some.oracles), *cells, *([made_with[name]] if made_with else [])))
+        lines.append((marked(name, some.oracles), *cells, *([made_with[name]] if made_with else [])))
     heads = ("estimator", "mean rank", Column(EFFICIENCY, interval=True).heading, *some.scenarios)
     heads += (*(column.heading for column in COSTS), "ok", *(["cellslam"] if made_with else []))
     return markdown(Grid(heads, tuple(lines), 1)).rstrip()
@@ -135,13 +127,9 @@ def _scenario(
     for estimator, own in rows.groupby("estimator", sort=False):
         fine = own[own["status"] == "ok"]
         cells = (cell(fine, column) for column in columns)
-        lines.append((_marked(str(estimator), oracles), *cells, f"{len(fine)}/{len(own)}"))
+        lines.append((marked(str(estimator), oracles), *cells, f"{len(fine)}/{len(own)}"))
     table = markdown(Grid(("estimator", *(column.heading for column in columns), "ok"), tuple(lines), 1)).rstrip()
     return "\n".join([f"\n## {name}\n", table, *_judged(judged, power)])
-
-
-def _marked(estimator: str, oracles: Collection[str]) -> str:
-    return f"{estimator} (oracle)" if estimator in oracles else estimator
 
 
 def _judged(one: Verdict | None, power: Verdict | None) -> list[str]:
@@ -149,12 +137,12 @@ def _judged(one: Verdict | None, power: Verdict | None) -> list[str]:
     if one is None:
         return []
     equal = "" if np.isnan(one.friedman_p) else f"; all equally good: p = {one.friedman_p:.2g} (Friedman)"
-    summary = f"Significant differences: {significant_pairs(one)}. "
+    summary = f"Significant differences: {rankings.significant_pairs(one)}. "
     summary += f"Critical difference of mean ranks: {one.critical_difference:.2f}{equal}."
     if power is not None:
-        summary += f" Power: of the built-in map builders, tested by themselves, {significant_pairs(power)}."
+        summary += f" Power: of the built-in map builders, tested by themselves, {rankings.significant_pairs(power)}."
     note = "Median difference of the RMSE on the same drives in m, row minus column; bold: significant.\n"
-    return [f"\n{_filled(summary)}", note, verdict_table(one)]
+    return [f"\n{_filled(summary)}", note, rankings.verdict_table(one)]
 
 
 def _effects(one: Verdict | None) -> list[str]:
@@ -166,7 +154,7 @@ def _effects(one: Verdict | None) -> list[str]:
         "p-value after Holm, and the number of trials in which Wilcoxon's test would find such a difference at 5 % "
         f"with a probability of {POWER:g}, if these {one.trials} trials are like all others."
     )
-    return [f"\n{_filled(about)}\n", effects_table(one)]
+    return [f"\n{_filled(about)}\n", rankings.effects_table(one)]
 
 
 def _yours(one: Suite) -> str:

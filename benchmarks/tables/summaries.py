@@ -54,9 +54,7 @@ def summary(folder: str | Path, layout: Layout | None = None) -> pd.DataFrame:
         statistic(name)
     check_confidence(layout.confidence)
     keys = list(dict.fromkeys([*row_keys(folder, layout), *([layout.columns] if layout.columns else [])]))
-    frame = results(
-        folder, list(dict.fromkeys([*keys, "status", *keys_of(metrics), *_DRIVE, *RATIO_OF, *MAP_RATIO_OF]))
-    )
+    frame = results(folder, [*keys, "status", *keys_of(metrics), *_DRIVE, *RATIO_OF, *MAP_RATIO_OF])
     if "estimator" in keys and BOUNDED in metrics:
         frame = _with_bounds(frame, keys)
     wanted = [(metric, name) for metric in metrics for name in ([""] if metric in RATIOS else layout.statistics)]
@@ -90,7 +88,7 @@ def comparison(
 
     if metric in RATIOS:
         raise InputError(f"'{metric}' is of a group of drives, not of one: compare position_rmse_m")
-    metrics_of(Layout(metrics=(metric,)))
+    check_metric(metric)
     check_confidence(confidence)
     keys = [key for key in row_keys(folder, Layout(rows=rows)) if key != "estimator"]
     frame = results(folder, [*varying_keys(folder), *keys, "estimator", "options", *_DRIVE, "status", metric])
@@ -109,9 +107,7 @@ def comparison(
     for values, group in groups(joined, keys):
         fine = group[(group["status"] == "ok") & (group["status 2"] == "ok")].dropna(subset=[metric, f"{metric} 2"])
         found = paired(finite(fine[metric]), finite(fine[f"{metric} 2"]), confidence)
-        numbers = {"pairs": found.pairs, "median_difference": found.median, "low": found.low, "high": found.high}
-        rest = {"p_value": found.p_value, "share_below": found.share_below, "left_out": len(group) - len(fine)}
-        lines.append({**values, "metric": metric, **numbers, **rest})
+        lines.append({**values, "metric": metric, **found._asdict(), "left_out": len(group) - len(fine)})
     return pd.DataFrame(lines)
 
 
@@ -154,15 +150,11 @@ def estimate(
     An efficiency ratio is of the rows that have RMSE and bound, and of no statistic; the merged one is against the
     bound that merging counts in, where a row has it.
     """
-    if metric == OF_MAP:
-        known = rows.dropna(subset=list(MAP_RATIO_OF))
-        error, bound = (np.asarray(known[key], np.float64) for key in MAP_RATIO_OF)
-        return efficiency_ratio(error, bound, confidence or CONFIDENCE)
     if metric in RATIOS:
-        known = rows.dropna(subset=list(RATIO_OF[:2]))
-        error, lower, upper = (np.asarray(known[key], np.float64) for key in RATIO_OF)
-        bound = np.where(np.isnan(upper), lower, upper) if metric == MERGED else lower
-        return efficiency_ratio(error, bound, confidence or CONFIDENCE)
+        of_error, of_bound, *_ = of_ratio = keys_of([metric])
+        known = rows.dropna(subset=of_ratio[:2]).astype(dict.fromkeys(of_ratio, np.float64))
+        bound = known["bound_merged_m"].fillna(known[of_bound]) if metric == MERGED else known[of_bound]
+        return efficiency_ratio(known[of_error].to_numpy(), bound.to_numpy(), confidence or CONFIDENCE)
     values, of = finite(rows[metric]), statistic(name)
     if not len(values):
         return np.nan, np.nan, np.nan
@@ -170,6 +162,12 @@ def estimate(
         return float(of.of(values)), np.nan, np.nan
     limits = share_interval(values, confidence) if METRIC[metric].share and name == "mean" else None
     return float(of.of(values)), *(limits or interval(values, of, confidence))
+
+
+def ok_rows(folder: str | Path, keys: Sequence[str]) -> pd.DataFrame:
+    """Return `keys` of the rows of a sweep that are ok, and the `key` under which their trajectories are kept."""
+    frame = results(folder, [*keys, "key", "status"])
+    return frame[frame["status"] == "ok"]
 
 
 def row_keys(folder: str | Path, layout: Layout) -> list[str]:
@@ -183,9 +181,14 @@ def row_keys(folder: str | Path, layout: Layout) -> list[str]:
 def metrics_of(layout: Layout) -> list[str]:
     """Return the metrics of a layout, checked: those asked for, or the usual ones."""
     for name in layout.metrics:
-        if name not in METRIC:
-            raise unknown_name("metric", name, METRIC)
+        check_metric(name)
     return list(layout.metrics or ((BOUNDED,) if layout.columns else shown_in("summary")))
+
+
+def check_metric(name: str) -> None:
+    """Raise InputError unless there is a metric of that name."""
+    if name not in METRIC:
+        raise unknown_name("metric", name, METRIC)
 
 
 def check_confidence(confidence: float | None) -> None:

@@ -80,19 +80,13 @@ def results_table(
 
 def _legend(cells: Mapping[str, Sequence[str]]) -> str:
     """Return what the columns of several trials mean, of those that are shown."""
-    intervals = any("[" in text for texts in cells.values() for text in texts)
-    parts = [
-        "medians over the trials that are ok, "
-        + ("in brackets 95 % intervals" if intervals else f"without intervals, which need {LEAST_VALUES} trials"),
-        "efficiency ratio: root mean square error over that of the bound"
-        + (
-            ", merging counted in: over that of the bound with merging as an error that persists"
-            if _heading(MERGED) in cells
-            else ""
-        ),
-        f"lost: RMSE above {LOST_M:g} m, or failed",
-    ]
-    return "; ".join(parts)
+    intervals = f"without intervals, which need {LEAST_VALUES} trials"
+    if any("[" in text for texts in cells.values() for text in texts):
+        intervals = "in brackets 95 % intervals"
+    ratio = "efficiency ratio: root mean square error over that of the bound"
+    if _heading(MERGED) in cells:
+        ratio += ", merging counted in: over that of the bound with merging as an error that persists"
+    return f"medians over the trials that are ok, {intervals}; {ratio}; lost: RMSE above {LOST_M:g} m, or failed"
 
 
 def _heading(key: str) -> str:

@@ -96,12 +96,13 @@ def estimate(
     progress: Progress = silent,
     known: VtMap | None = None,
 ) -> TrialResult:
-    """Return what the requested estimator, driven in this process, says about a recording; `known`: the map that it
-    begins with.
+    """Return what the requested estimator, compiled and driven in this process, says about a recording; `known`: the
+    map that it begins with.
 
     `estimate_seconds` covers start, steps and finish alone, `peak_memory_mb` what is kept of the answers too. Raises
     BadAnswerError, or whatever the estimator raises, with the snapshot added to its notes.
     """
+    warm_up(request, progress)
     setup = setup_of(recording, request.oracle, known, requires_future(request))
     return collected(recording, request, answers(setup, steps_of(recording), request, rng), progress)
 
@@ -133,15 +134,18 @@ def answers(setup: Setup, steps: Iterable[Step], request: Request, rng: np.rando
             raise
         yield Answer(seconds, columns)
     begin = time.perf_counter()
-    final = estimator.finish() if callable(getattr(estimator, "finish", None)) else None
+    final = _optional(estimator, "finish")
     seconds += time.perf_counter() - begin
     columns = {} if final is None else {"finish": numbers("finish(): poses", final)}
-    calibration = getattr(estimator, "calibration", None)
-    columns |= plain_calibration(calibration()) if callable(calibration) else {}
-    remarks = getattr(estimator, "remarks", None)
-    lines = plain_remarks(remarks()) if callable(remarks) else ()
-    left = estimator.vt_map() if callable(getattr(estimator, "vt_map", None)) else None
+    columns |= plain_calibration(_optional(estimator, "calibration"))
+    lines, left = plain_remarks(_optional(estimator, "remarks", ())), _optional(estimator, "vt_map")
     yield Answer(seconds, columns, lines, memory.grown_mb(before), left)
+
+
+def _optional(estimator: Any, method: str, otherwise: Any = None) -> Any:
+    """Return what a method of an estimator returns that need not be there."""
+    found = getattr(estimator, method, None)
+    return found() if callable(found) else otherwise
 
 
 def collected(

@@ -40,12 +40,12 @@ def file_name(estimator: str) -> str:
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Raise InputError where the disk refuses what is written to `path` in this context."""
+def writing(path: Path, remedy: str = "give another path") -> Iterator[None]:
+    """Raise InputError, with a remedy, where the disk refuses what is written to `path` in this context."""
     try:
         yield
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); give another path") from error
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); {remedy}") from error
 
 
 def write_text(path: Path, text: str) -> None:

@@ -13,16 +13,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from cellslam.benchmarks.scores import metrics
 from cellslam.benchmarks.scores.alignment import aligned
 from cellslam.benchmarks.scores.statistics import plain
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.earlier_drives import Before
-from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.benchmarks.trials.failures import ExternalError, LostError, details, explained
 from cellslam.scenarios.estimator_options import Request
 from cellslam.scenarios.scenario import MapConfig, Scenario
@@ -32,7 +31,6 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import OdometryModel, Recording
-from cellslam.slam.model.vt_map import VtMap
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.bound.cramer_rao import BoundResult
@@ -67,13 +65,18 @@ class Outcome(Described):
 class Drive(Described):
     """What the estimators of a trial meet; without a recording, the `problem` that there was.
 
-    `unbound`: why a recording with truth has no bound.
+    Seed and trial give their random draws; `before`: the map that they begin with. `unbound`: why a recording with
+    truth has no bound.
     """
 
-    recording: Recording | None
+    scenario: str
+    trial: int
+    seed: int
+    recording: Recording | None = None
     bound: BoundResult | None = None
     unbound: str = ""
     problem: Exception | None = None
+    before: Before = NOTHING
 
 
 @dataclass(frozen=True, repr=False)
@@ -106,10 +109,7 @@ def simulated_trials(
     Raises InputError when the world of the first trial cannot be made as the scenario asks.
     """
     for number in range(trials):
-
-        def make(trial: int = number) -> Recording:
-            return simulate(scenario, seed, trial, progress=progress)
-
+        make = partial(simulate, scenario, seed, number, progress=progress)
         before = Before(scenario.map, scenario, seed, number)
         drive, outcomes = score_trial(make, scenario.name, requests, number, seed, external, progress, before=before)
         if number == 0 and isinstance(drive.problem, InputError):
@@ -138,11 +138,10 @@ def score_trial(
     `sheet`: what estimators assume of the odometry's errors; the bound keeps to what the recording says.
     `before`: the map that they begin with.
     """
-    drive = _drive(make, progress, bounded and not align, before)
+    drive = _made(Drive(scenario, trial, seed, before=before), make, progress, bounded and not align)
     if sheet is not None and drive.recording is not None:
         drive = replace(drive, recording=replace(drive.recording, odometry_model=sheet))
-    more = (trial, seed, external, progress, align, before)
-    return drive, (outcome_of(drive, scenario, request, *more) for request in requests)
+    return drive, (outcome_of(drive, request, external, progress, align) for request in requests)
 
 
 def score_recording(
@@ -159,43 +158,47 @@ def failed_row(scenario: str, estimator: str, trial: int, seed: int, error: str)
     return {**dict.fromkeys(metrics.ROW_KEYS), **first, "status": "failed", "error": error}
 
 
-def _drive(make: Callable[[], Recording], progress: Progress, bounded: bool, before: Before) -> Drive:
+def _made(drive: Drive, make: Callable[[], Recording], progress: Progress, bounded: bool) -> Drive:
     try:
         recording = make()
     except Exception as error:
-        return Drive(None, problem=error)
+        return replace(drive, problem=error)
+    drive = replace(drive, recording=recording)
     if recording.truth is None or not bounded:
-        return Drive(recording)
+        return drive
     try:
-        return Drive(recording, before.bound(recording, progress))
+        return replace(drive, bound=drive.before.bound(recording, progress))
     except Exception as error:  # of a recording of another version, the errors are not those of this one
-        return Drive(recording, unbound=explained(error))
+        return replace(drive, unbound=explained(error))
 
 
 def outcome_of(
     drive: Drive,
-    scenario: str,
     request: Request,
-    trial: int,
-    seed: int,
     external: ExternalProcesses | None = None,
     progress: Progress = silent,
     align: bool = False,
-    before: Before = NOTHING,
 ) -> Outcome:
     """Return what one estimator makes of a drive; arguments as of `score_trial`."""
     if drive.recording is None:
         assert drive.problem is not None
         text = f"the world cannot be made: {explained(drive.problem)}"
-        return Outcome(failed_row(scenario, request.name, trial, seed, text), None, drive.problem)
+        row = failed_row(drive.scenario, request.name, drive.trial, drive.seed, text)
+        return Outcome(row, None, drive.problem)
     recording = drive.recording
-    row = failed_row(scenario, request.name, trial, seed, "")
+    row = failed_row(drive.scenario, request.name, drive.trial, drive.seed, "")
     row |= {"snapshots": len(recording.time_s), "duration_s": metrics.duration_s(recording)}
     row |= {"distance_m": metrics.distance_m(recording)}
     row |= {"alignment": ALIGNED} if align else {}
     try:
-        rng = stream(seed, trial, Stream.ESTIMATOR)
-        result = _estimate(recording, request, rng, external, progress, before.known(request))
+        if not request.external:
+            driven = estimate
+        elif external is not None:
+            driven = external.estimate
+        else:
+            raise ExternalError(f"{request.name} runs in a process of its own, and there is none here")
+        rng = stream(drive.seed, drive.trial, Stream.ESTIMATOR)
+        result = driven(recording, request, rng, progress, drive.before.known(request))
         result = aligned(recording, result) if align else result
         scores = metrics.score(recording, result, drive.bound)
     except (Exception, SystemExit) as error:
@@ -207,19 +210,3 @@ def outcome_of(
     }
     row |= {"status": "ok", "error": None, **scores, **cost}
     return Outcome({key: plain(value) for key, value in row.items()}, result)
-
-
-def _estimate(
-    recording: Recording,
-    request: Request,
-    rng: np.random.Generator,
-    external: ExternalProcesses | None,
-    progress: Progress,
-    known: VtMap | None,
-) -> TrialResult:
-    if request.external:
-        if external is None:
-            raise ExternalError(f"{request.name} runs in a process of its own, and there is none here")
-        return external.estimate(recording, request, rng, progress, known)
-    warm_up(request, progress)
-    return estimate(recording, request, rng, progress, known)

@@ -71,9 +71,9 @@ def estimates_by(
     with bars(arguments.quiet) as progress, ExternalProcesses() as external:
         given = assumed_by(arguments, recording, origin, names, progress)
         recording = replace(recording, odometry_model=given.odometry_model)
-        drive, more = trials.Drive(recording), (origin.trial, seed, external, progress)
+        drive = trials.Drive(origin.name, origin.trial, seed, recording)
         for request in given.requests:
-            outcome = trials.outcome_of(drive, origin.name, request, *more)
+            outcome = trials.outcome_of(drive, request, external, progress)
             if outcome.result is None:
                 raise InputError(f"--estimator {request.name} failed on {path}: {outcome.row['error']}")
             results.append(outcome.result)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
-from cellslam.benchmarks.figures.style import BLACK, GREY, WIDTH_IN
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from cellslam.benchmarks.scores.verdicts import Verdict
+from cellslam.benchmarks.figures.style import BLACK, GREY, WIDTH_IN, panels
+from cellslam.benchmarks.scores.verdicts import Verdict
 
 LINE_IN, LABEL_IN, LETTER_IN = 0.19, 0.16, 0.062  # height of a label, margin beside it, width of a letter
 ABOVE, GAP, BAR = 2.4, 0.7, 0.42  # in lines: margin above the scale, below it, and from one bar to the next
@@ -27,18 +24,14 @@ def draw_ranks(figure: Figure, judged: Mapping[str, Verdict]) -> bool:
     if not judged:
         return False
     across = min(2, len(judged))
-    down = -(-len(judged) // across)
     lines = max(_lines(one) for one in judged.values())
-    width, height = (WIDTH_IN if across > 1 else 0.62 * WIDTH_IN), LINE_IN * (lines + ABOVE + 1.0)
-    figure.set_size_inches(width, down * (height + LINE_IN))
-    grid = figure.subplots(down, across, squeeze=False)
+    width = WIDTH_IN if across > 1 else 0.62 * WIDTH_IN
+    grid = panels(figure, len(judged), across, (width, LINE_IN * (lines + ABOVE + 2.0)))
     letters = max(len(name) for one in judged.values() for name in one.names)
-    for axes, (title, one) in zip(grid.flat, judged.items(), strict=False):
+    for axes, (title, one) in zip(grid, judged.items(), strict=True):
         _draw(axes, one, width / across, letters * LETTER_IN + LABEL_IN)
         axes.set_ylim(-lines - 0.5, ABOVE)
         axes.set_title(f"{title} ({one.trials} trials)" if title else f"{one.trials} trials", fontsize=8.5)
-    for axes in list(grid.flat)[len(judged) :]:
-        axes.set_visible(False)
     return True
 
 
@@ -63,15 +56,8 @@ def _draw(axes: Axes, one: Verdict, width_in: float, margin_in: float) -> None:
     ranks = one.mean_rank.tolist()
     for number, (first, last) in enumerate(one.groups):
         y = -GAP - BAR * number + 0.25
-        reach = BEYOND * (count - 1)
-        axes.plot(
-            (ranks[first] - reach, ranks[last] + reach),
-            (y, y),
-            color=BLACK,
-            linewidth=3,
-            solid_capstyle="butt",
-            zorder=3,
-        )
+        ends = ranks[first] - BEYOND * (count - 1), ranks[last] + BEYOND * (count - 1)
+        axes.plot(ends, (y, y), color=BLACK, linewidth=3, solid_capstyle="butt", zorder=3)
     top = -GAP - BAR * len(one.groups) - 0.3
     better = (count + 1) // 2
     for i, (name, rank) in enumerate(zip(one.names, ranks, strict=True)):

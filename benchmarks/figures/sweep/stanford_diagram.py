@@ -8,20 +8,16 @@ Source: Tossaint et al., "The Stanford-ESA integrity diagram", J. Institute of N
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 
-from cellslam.benchmarks.figures.style import BLACK, ORANGE, VERMILLION, WIDTH_IN
+from cellslam.benchmarks.figures.style import BLACK, ORANGE, VERMILLION, WIDTH_IN, panels, plain_numbers
 from cellslam.benchmarks.figures.sweep.sweep_data import SweepData
 from cellslam.benchmarks.scores.metrics import ALERT_LIMIT_M, RISK
 from cellslam.benchmarks.tables.integrity import regions
 from cellslam.sim.recording import Floats
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 MOST_PANELS, BINS, LEAST_M = 6, 60, 0.02
 ASIDE = 1.08  # factor between a text and the line beside it
@@ -30,24 +26,20 @@ ASIDE = 1.08  # factor between a text and the line beside it
 def draw_stanford(figure: Figure, data: SweepData) -> bool:
     """Draw the diagram of each estimator over all worlds, of six at the most; False, and nothing, without claims."""
     found: dict[str, list[tuple[Floats, Floats]]] = {}
-    for one in (one for panel in data.panels for one in panel.series):
+    for one in data.series:
         pairs = [drive.errors.protection() for drive in data.drives(one)]
         found.setdefault(one.label, []).extend(pair for pair in pairs if len(pair[0]))
     found = dict([(label, pairs) for label, pairs in found.items() if pairs][:MOST_PANELS])
     if not found:
         return False
     across = min(3, len(found))
-    down = -(-len(found) // across)
-    figure.set_size_inches(max(WIDTH_IN * across / 3, 3.4), 0.3 + 2.6 * down)
-    grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    grid = panels(figure, len(found), across, (max(WIDTH_IN * across / 3, 3.4), 2.6), above_in=0.3, shared=True)
     most = max(float(max(error.max(), level.max())) for pairs in found.values() for error, level in pairs)
     edges = np.geomspace(LEAST_M, max(most, 10.0 * ALERT_LIMIT_M), BINS + 1)
-    for axes, (label, pairs) in zip(grid.flat, found.items(), strict=False):
+    for axes, (label, pairs) in zip(grid, found.items(), strict=True):
         error, level = (np.concatenate(column) for column in zip(*pairs, strict=True))
         _panel(axes, error, level, edges)
         axes.set_title(label, fontsize=7.5)
-    for axes in list(grid.flat)[len(found) :]:
-        axes.set_visible(False)
     figure.supxlabel("horizontal error (m)", fontsize=8.5)
     figure.supylabel(f"protection level at a risk of {RISK:g} (m)", fontsize=8.5)
     return True
@@ -65,7 +57,7 @@ def _panel(axes: Axes, error: Floats, level: Floats, edges: Floats) -> None:
     axes.fill_between([ALERT_LIMIT_M, edges[-1]], edges[0], ALERT_LIMIT_M, color=VERMILLION, alpha=0.2, linewidth=0)
     axes.set(xscale="log", yscale="log", xlim=edges[[0, -1]], ylim=edges[[0, -1]])
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter("{x:g}")
+        plain_numbers(axis)
     low, limit, high = edges[0] * ASIDE, ALERT_LIMIT_M, edges[-1] / ASIDE
     places = {
         "nominal": (low, limit / ASIDE, "left", "top"), "misleading": (limit / ASIDE, low, "right", "bottom"),

@@ -11,8 +11,10 @@ import numpy as np
 
 from cellslam.benchmarks.scores.metrics import METRIC
 from cellslam.benchmarks.scores.statistics import interval, statistic
+from cellslam.benchmarks.scores.verdicts import Verdict
 from cellslam.benchmarks.sweeps.rows import oracles, results, varying_keys
 from cellslam.benchmarks.sweeps.store import trajectory_of
+from cellslam.benchmarks.sweeps.trajectories import Trajectory
 from cellslam.benchmarks.tables.rankings import verdicts
 from cellslam.benchmarks.tables.summaries import CONFIDENCE, finite, groups
 from cellslam.sim.errors import InputError
@@ -20,9 +22,6 @@ from cellslam.sim.recording import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from cellslam.benchmarks.scores.verdicts import Verdict
-    from cellslam.benchmarks.sweeps.trajectories import Trajectory
 
 MOST_TRAJECTORIES = 200
 POINTS_IN_TIME = 400
@@ -71,9 +70,14 @@ class Series:
         """The estimator's name."""
         return str(self.rows["estimator"].iloc[0])
 
+    @property
+    def ok(self) -> pd.DataFrame:
+        """The rows of the trials that did not fail."""
+        return self.rows[self.rows["status"] == "ok"]
+
     def values(self, metric: str) -> Floats:
         """Return a metric's values (n,), in the metric's units, in the n trials that are ok and have it."""
-        return finite(self.rows.loc[self.rows["status"] == "ok", metric])
+        return finite(self.ok[metric])
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,14 +97,18 @@ class SweepData:
     world_keys: tuple[str, ...]
 
     @property
+    def series(self) -> list[Series]:
+        """The series of all panels, in order."""
+        return [one for panel in self.panels for one in panel.series]
+
+    @property
     def labels(self) -> tuple[str, ...]:
         """The labels of all series, in order."""
-        return tuple(dict.fromkeys(one.label for panel in self.panels for one in panel.series))
+        return tuple(dict.fromkeys(one.label for one in self.series))
 
     def drives(self, series: Series) -> Iterator[Trajectory]:
         """Yield the trajectories of a series that are kept, two hundred at the most."""
-        ok = series.rows.loc[series.rows["status"] == "ok", "key"].tolist()[:MOST_TRAJECTORIES]
-        kept = (trajectory_of(self.folder, key) for key in ok)
+        kept = (trajectory_of(self.folder, key) for key in series.ok["key"].tolist()[:MOST_TRAJECTORIES])
         yield from (trajectory for trajectory in kept if trajectory is not None)
 
     def over_time(self, series: Series, column: str) -> tuple[Floats, Floats] | None:
@@ -145,9 +153,8 @@ def curve_keys(data: SweepData) -> dict[str, bool]:
 
     Numbers come first.
     """
-    series = [one for panel in data.panels for one in panel.series]
-    worlds = {key: {one.settings[key] for one in series} for key in data.world_keys}
-    options = {key: {one.options[key] for one in series} - {None} for key in series[0].options}
+    worlds = {key: {one.settings[key] for one in data.series} for key in data.world_keys}
+    options = {key: {one.options[key] for one in data.series} - {None} for key in data.series[0].options}
     several = {key: values - {None} for key, values in {**worlds, **options}.items() if len(values) > 1}
     found = {key: all(map(_is_number, values)) for key, values in several.items()}
     return dict(sorted(found.items(), key=lambda item: not item[1]))
@@ -161,7 +168,7 @@ def sweep_lines(data: SweepData, x: str) -> dict[str, list[tuple[float | str | N
     """
     lines: dict[str, list[tuple[float | str | None, Series]]] = {}
     numbers = curve_keys(data)[x]
-    for one in (series for panel in data.panels for series in panel.series):
+    for one in data.series:
         value = one.settings.get(x, one.options.get(x))
         label = label_of(one.estimator, one.options, [key for key in one.options if key != x])
         others = other_settings(one, x)

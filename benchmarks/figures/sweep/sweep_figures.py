@@ -6,28 +6,26 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from cellslam.benchmarks.figures import consistency_page
+from cellslam.benchmarks.figures import consistency_page, style
 from cellslam.benchmarks.figures.consistency_page import Shown
-from cellslam.benchmarks.figures.style import GREY, HALF_WIDTH_IN, WIDTH_IN, Drawing, estimator_styles, write_all
+from cellslam.benchmarks.figures.style import GREY, HALF_WIDTH_IN, WIDTH_IN, Drawing, estimator_styles, plain_numbers
 from cellslam.benchmarks.figures.sweep import sweep_data
 from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
 from cellslam.benchmarks.figures.sweep.stanford_diagram import draw_stanford
 from cellslam.benchmarks.figures.sweep.sweep_data import CurveChoice, Panel, Series, SweepData, axis, curve_keys
 from cellslam.benchmarks.scores.statistics import LEAST_VALUES, statistic
 from cellslam.benchmarks.tables.consistency import claimed_in
-from cellslam.benchmarks.tables.summaries import Layout, check_confidence, metrics_of
+from cellslam.benchmarks.tables.summaries import check_confidence, check_metric
 from cellslam.benchmarks.trials.output_files import file_name
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 MOST_PANELS = 6
 MOST_TICKS, MOST_LETTERS = 10, 45
@@ -52,7 +50,7 @@ def draw_sweep(
     Raises InputError for an unknown key, metric or statistic, or an empty sweep.
     """
     choice = choice or CurveChoice()
-    metrics_of(Layout(metrics=(choice.metric,)))
+    check_metric(choice.metric)
     statistic(choice.statistic)
     check_confidence(choice.confidence)
     data = sweep_data.load(folder)
@@ -71,7 +69,7 @@ def draw_sweep(
     for panel in data.panels[:MOST_PANELS]:
         name = file_name(f"consistency {panel.title}".replace(" = ", "-").replace(",", "").strip().replace(" ", "-"))
         drawings[name] = partial(_consistency, data=data, panel=panel)
-    return write_all(drawings, out_dir, formats, progress)
+    return style.write_all(drawings, out_dir, formats, progress)
 
 
 def _x_key(data: SweepData, choice: CurveChoice) -> str | None:
@@ -139,13 +137,13 @@ def _map_against_bound(figure: Figure, data: SweepData) -> bool:
             bins = np.floor(np.log2(times_seen)).astype(int)
             there = np.unique(bins)
             x = [np.exp(np.log(times_seen[bins == b]).mean()) for b in there]
-            for values, style in ((error, styles[label]), (bound, {**styles[label], "linestyle": ":", "label": None})):
+            for values, line in ((error, styles[label]), (bound, {**styles[label], "linestyle": ":", "label": None})):
                 axes.plot(
-                    x, [np.sqrt(np.mean(values[bins == b] ** 2)) for b in there], **style, marker="o", markersize=3
+                    x, [np.sqrt(np.mean(values[bins == b] ** 2)) for b in there], **line, marker="o", markersize=3
                 )
         axes.set(xscale="log", yscale="log", xlabel="snapshots that saw a VT")
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_major_formatter("{x:g}")
+        plain_numbers(axes.xaxis)
+        plain_numbers(axes.yaxis)
     if panels:
         figure.axes[0].set_ylabel("error of VTs (m), root mean square;\ndotted: bound of the same")
     return bool(panels)
@@ -164,7 +162,7 @@ def _curves(data: SweepData, column: str) -> dict[Panel, dict[str, Curve]]:
 
 def _cost(figure: Figure, data: SweepData, choice: CurveChoice) -> bool:
     """Draw the statistic with its interval against the estimator's median time per trial."""
-    every = [(one, one.values(choice.metric), one.values("estimate_seconds")) for p in data.panels for one in p.series]
+    every = [(one, one.values(choice.metric), one.values("estimate_seconds")) for one in data.series]
     points = [point for point in every if len(point[1]) and len(point[2])]
     if not points:
         return False
@@ -184,8 +182,6 @@ def draw_curve(figure: Figure, data: SweepData, choice: CurveChoice, x: str) -> 
 
     What is no number stands side by side, and nothing leads from one to the next.
     """
-    from matplotlib.ticker import LogLocator
-
     found = sweep_data.sweep_lines(data, x)
     names = list(dict.fromkeys(at for points in found.values() for at, _ in points if isinstance(at, str)))
     lines = {
@@ -227,9 +223,7 @@ def draw_curve(figure: Figure, data: SweepData, choice: CurveChoice, x: str) -> 
     axes.set(xlabel=x, ylabel=choice.label, title=f"{intervals} intervals, {trials} trials a point")
     if names:
         axes.set_yscale("log")
-        axes.yaxis.set_minor_locator(LogLocator(subs=(2, 5)))
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter("{x:g}")
+        plain_numbers(axes.yaxis, between=True)
     else:
         axes.set_ylim(bottom=0)
     figure.legend(loc="outside lower center", ncols=2)
@@ -257,31 +251,31 @@ def _bound(
     """Draw a bound, summed up as the metric is: a line where x is a number, else a dash at each place."""
     places = sorted((float(names.index(at)) if isinstance(at, str) else at, at) for at in points)
     middle = [choice.summed(points[at])[0] for _, at in places]
-    style: dict[str, Any] = {"marker": "_", "markersize": 22, "linestyle": "none"} if names else {"linestyle": dashes}
-    axes.plot([x for x, _ in places], middle, color=GREY, label=name, zorder=1, **style)
+    line: dict[str, Any] = {"marker": "_", "markersize": 22, "linestyle": "none"} if names else {"linestyle": dashes}
+    axes.plot([x for x, _ in places], middle, color=GREY, label=name, zorder=1, **line)
 
 
 def _line(
-    axes: Axes, points: Sequence[tuple[float | None, Floats]], choice: CurveChoice, style: Mapping[str, Any]
+    axes: Axes, points: Sequence[tuple[float | None, Floats]], choice: CurveChoice, line: Mapping[str, Any]
 ) -> None:
     """Draw one line with its intervals; a point without x is the same everywhere: a level with a band."""
     at = [place for place, _ in points if place is not None]
     if at:
-        draw_points(axes, at, [values for _, values in points], choice, style)
+        draw_points(axes, at, [values for _, values in points], choice, line)
         return
     middle, low, high = choice.summed(points[0][1])
-    axes.axhline(middle, **style)
-    axes.axhspan(low, high, color=style["color"], alpha=0.15, linewidth=0)
+    axes.axhline(middle, **line)
+    axes.axhspan(low, high, color=line["color"], alpha=0.15, linewidth=0)
 
 
 def draw_points(
-    axes: Axes, at: Sequence[float], samples: Sequence[Floats], choice: CurveChoice, style: Mapping[str, Any]
+    axes: Axes, at: Sequence[float], samples: Sequence[Floats], choice: CurveChoice, line: Mapping[str, Any]
 ) -> None:
     """Draw the statistic of each sample (n,) with its interval, in the sample's units, at its place along x."""
     middle, *ends = np.stack([choice.summed(values) for values in samples], axis=1)
     reach = np.abs(ends - middle)
     reach[:, ~(reach > 0.0).any(axis=0)] = np.nan  # an interval without length is not drawn
-    drawn = {"marker": "o", "markersize": 4.5, "markeredgecolor": "white", "markeredgewidth": 0.6, **style}
+    drawn = {"marker": "o", "markersize": 4.5, "markeredgecolor": "white", "markeredgewidth": 0.6, **line}
     axes.errorbar(at, middle, yerr=reach, **drawn, capsize=2.5, elinewidth=0.9)
 
 
@@ -299,16 +293,13 @@ def _panels(
     if not panels:
         return
     across = 2 if len(panels) == 4 else min(3, len(panels))
-    down = -(-len(panels) // across)
-    figure.set_size_inches(WIDTH_IN if across > 1 else HALF_WIDTH_IN[0], 0.5 + 2.5 * down)
-    grid = list(figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).flat)
+    width_in = WIDTH_IN if across > 1 else HALF_WIDTH_IN[0]
+    grid = style.panels(figure, len(panels), across, (width_in, 2.5), above_in=0.5, shared=True)
     styles = estimator_styles(data.labels)
-    for axes, panel in zip(grid, panels, strict=False):
+    for axes, panel in zip(grid, panels, strict=True):
         yield axes, panel, styles
         axes.set_title(panel.title, fontsize=7.5)
-    for axes in grid[len(panels) :]:
-        axes.set_visible(False)
-    for axes in grid[max(0, len(panels) - across) : len(panels)]:
+    for axes in grid[-across:]:
         axes.tick_params(labelbottom=True)  # nothing stands below it
     _legend(figure, ncols=3)
 

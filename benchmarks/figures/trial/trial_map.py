@@ -15,20 +15,7 @@ from matplotlib.collections import LineCollection, PatchCollection, PolyCollecti
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch, Rectangle
 
-from cellslam.benchmarks.figures.style import (
-    BLACK,
-    BUILDING,
-    EMPHASIS,
-    GREY,
-    SITES,
-    TRUTH,
-    VEHICLES,
-    VT,
-    WALL,
-    WIDTH_IN,
-    estimator_styles,
-    outline,
-)  # fmt: skip
+from cellslam.benchmarks.figures import style
 from cellslam.benchmarks.scores.map_scores import Tracks, tracks_of
 from cellslam.benchmarks.scores.metrics import duration_s
 from cellslam.benchmarks.scores.reference_fixes import usable
@@ -82,20 +69,19 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
         return False
     mapped = next((reflectors_of(recording, r) for r in results.values() if r.vts is not None), [])
     drive = _square(_driven(recording, tracks))
-    vts = _final_vts(results, drive) if truth is None else {}
-    scatterers = _scatterers(recording, results, drive)
+    vts, scatterers = _mapped(recording, results, drive)
     sites = truth.site_positions_m[:, :2] if truth is not None else np.zeros((0, 2))
     seen = [sites, *(reflector.points_m[:, :2] for reflector in mapped), *vts.values()]
     scene = _square(np.concatenate([_driven(recording, tracks), *(poses[:, :2] for poses in tracks.values()), *seen]))
     alone = np.ptp(scene[0]) < LARGER * np.ptp(drive[0])
-    figure.set_size_inches(0.6 * WIDTH_IN if alone else WIDTH_IN, HEIGHT_IN)
+    figure.set_size_inches(0.6 * style.WIDTH_IN if alone else style.WIDTH_IN, HEIGHT_IN)
     panels = figure.subplots(1, 1 if alone else 2, squeeze=False)[0]
     for axes, extent in zip(panels, (scene, drive)[: len(panels)], strict=True):
         _buildings(axes, city, mapped)
         _reflecting_points(axes, recording, mapped)
         _longest_path(axes, mapped)
         for name, place in vts.items():
-            axes.plot(*place.T, "x", color=VT, markersize=3, markeredgewidth=0.7, label=f"VTs of {name}")
+            axes.plot(*place.T, "x", color=style.VT, markersize=3, markeredgewidth=0.7, label=f"VTs of {name}")
         for label, marker, place in scatterers:
             axes.plot(*place.T, **marker, markersize=5, markeredgewidth=0.8, linestyle="none", zorder=3.5, label=label)
         _walls(axes, results)
@@ -108,7 +94,8 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
     panels[-1].set_title("the drive")
     if not alone:
         (x0, x1), (y0, y1) = drive
-        panels[0].add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, color=GREY, linewidth=0.8, linestyle=":"))
+        frame = Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, color=style.GREY, linewidth=0.8, linestyle=":")
+        panels[0].add_patch(frame)
         panels[0].set_title("sites, reflecting walls" if truth is not None else "the map")
     handles, labels = panels[0].get_legend_handles_labels()
     columns = 2 if alone else 4
@@ -128,13 +115,28 @@ def _driven(recording: Recording, tracks: Mapping[str, Floats]) -> Floats:
     return np.concatenate([*known, *(poses[:, :2] for poses in (tracks if recording.truth else others).values())])
 
 
-def _final_vts(results: Mapping[str, TrialResult], drive: Extent) -> dict[str, Floats]:
-    """Return horizontal positions (V, 2) of the first result's mirror images, by its name; without those five times as
-    far off as half of them."""
-    for name, result in results.items():
-        if result.vts is not None and len(result.vts.id):
-            return {name: _near(result.vts.position_m[~result.vts.scatters, :2], drive)}
-    return {}
+def _mapped(
+    recording: Recording, results: Mapping[str, TrialResult], drive: Extent
+) -> tuple[dict[str, Floats], list[tuple[str, dict[str, Any], Floats]]]:
+    """Return what is drawn of maps of VTs, in horizontal positions (n, 2).
+
+    Of a measured drive the mirror images of the first result with VTs, by its name; then label, marker and positions of
+    the true scatterers that were measured, and of that result's. VTs that lie far beyond the others are left out.
+    """
+    images, scatterers = dict[str, Floats](), list[tuple[str, dict[str, Any], Floats]]()
+    if recording.truth is not None:
+        vts, measured = recording.truth.vts, np.unique(recording.truth.measurement_vt)
+        position = vts.position_m[np.intersect1d(np.flatnonzero(vts.scatters), measured), :2]
+        circle = {"marker": "o", "markerfacecolor": "none", "color": style.TRUTH}
+        scatterers.append(("true scatterers", circle, position))
+    found = {name: result.vts for name, result in results.items() if result.vts is not None and len(result.vts.id)}
+    if found:
+        name, estimated = next(iter(found.items()))
+        if recording.truth is None:
+            images[name] = _near(estimated.position_m[~estimated.scatters, :2], drive)
+        position = _near(estimated.position_m[estimated.scatters, :2], drive)
+        scatterers.append((f"scatterers of {name}", {"marker": "+", "color": style.VT}, position))
+    return images, [one for one in scatterers if len(one[2])]
 
 
 def _near(position: Floats, drive: Extent) -> Floats:
@@ -144,30 +146,12 @@ def _near(position: Floats, drive: Extent) -> Floats:
     return np.asarray(position[off <= farthest])
 
 
-def _scatterers(
-    recording: Recording, results: Mapping[str, TrialResult], drive: Extent
-) -> list[tuple[str, dict[str, Any], Floats]]:
-    """Return label, marker and horizontal positions (n, 2) of the true scatterers that were measured, and of those of
-    the first result with VTs."""
-    out = []
-    if recording.truth is not None:
-        vts, measured = recording.truth.vts, np.unique(recording.truth.measurement_vt)
-        position = vts.position_m[np.intersect1d(np.flatnonzero(vts.scatters), measured), :2]
-        out.append(("true scatterers", {"marker": "o", "markerfacecolor": "none", "color": TRUTH}, position))
-    for name, result in results.items():
-        if result.vts is not None and len(result.vts.id):
-            position = _near(result.vts.position_m[result.vts.scatters, :2], drive)
-            out.append((f"scatterers of {name}", {"marker": "+", "color": VT}, position))
-            break
-    return [one for one in out if len(one[2])]
-
-
 def _walls(axes: Axes, results: Mapping[str, TrialResult]) -> None:
     for name, result in results.items():
         if result.walls is not None and len(result.walls):
-            style: dict[str, Any] = {"colors": WALL, "linewidths": 2.0, "zorder": 3}
+            drawn: dict[str, Any] = {"colors": style.WALL, "linewidths": 2.0, "zorder": 3}
             axes.add_collection(
-                LineCollection(list(result.walls.ends_m), label=f"walls of {name}", **style), autolim=False
+                LineCollection(list(result.walls.ends_m), label=f"walls of {name}", **drawn), autolim=False
             )
             return
 
@@ -193,13 +177,13 @@ def _square(points: Floats) -> Extent:
 def _buildings(axes: Axes, city: City | None, mapped: Sequence[Reflector]) -> None:
     if city is None:
         return
-    patches = [PathPatch(outline(footprint)) for footprint in city.footprints]
-    axes.add_collection(PatchCollection(patches, facecolor=BUILDING, edgecolor="#C9C4BB", linewidth=0.4))
+    patches = [PathPatch(style.outline(footprint)) for footprint in city.footprints]
+    axes.add_collection(PatchCollection(patches, facecolor=style.BUILDING, edgecolor="#C9C4BB", linewidth=0.4))
     chosen = emphasised_building(city, mapped)
     if chosen is not None:
-        style: dict[str, Any] = {"facecolor": EMPHASIS, "edgecolor": BLACK, "linewidth": 1.0}
+        drawn: dict[str, Any] = {"facecolor": style.EMPHASIS, "edgecolor": style.BLACK, "linewidth": 1.0}
         label = "building of the longest-lived reflection"
-        axes.add_patch(PathPatch(outline(city.footprints[chosen]), label=label, **style))
+        axes.add_patch(PathPatch(style.outline(city.footprints[chosen]), label=label, **drawn))
 
 
 def _reflecting_points(axes: Axes, recording: Recording, mapped: Sequence[Reflector]) -> None:
@@ -209,7 +193,7 @@ def _reflecting_points(axes: Axes, recording: Recording, mapped: Sequence[Reflec
         if points:
             x, y = np.concatenate(points).T
             label = f"reflecting points, site {recording.sites.name[site]}"
-            axes.plot(x, y, **dots, color=SITES[site % len(SITES)], label=label)
+            axes.plot(x, y, **dots, color=style.SITES[site % len(style.SITES)], label=label)
 
 
 def _longest_path(axes: Axes, mapped: Sequence[Reflector]) -> None:
@@ -218,18 +202,18 @@ def _longest_path(axes: Axes, mapped: Sequence[Reflector]) -> None:
         first = mapped[0]
         middle = len(first.points_m) // 2
         path = np.stack([first.site_m, first.points_m[middle], first.vehicle_m[middle]])
-        axes.plot(*path[:, :2].T, color=BLACK, linewidth=0.7, linestyle="-.", label="its path, half-way")
+        axes.plot(*path[:, :2].T, color=style.BLACK, linewidth=0.7, linestyle="-.", label="its path, half-way")
 
 
 def _trajectories(axes: Axes, recording: Recording, tracks: Mapping[str, Floats]) -> None:
     if recording.truth is not None:
-        axes.plot(*recording.truth.poses[:, :2].T, color=TRUTH, linewidth=2.4, label="true trajectory")
-        axes.plot(*recording.truth.poses[0, :2], "o", color=TRUTH, markersize=4)
+        axes.plot(*recording.truth.poses[:, :2].T, color=style.TRUTH, linewidth=2.4, label="true trajectory")
+        axes.plot(*recording.truth.poses[0, :2], "o", color=style.TRUTH, markersize=4)
     elif recording.reference is not None:
         fixes = recording.reference.position_m[usable(recording, recording.reference), :2]
-        axes.plot(*fixes.T, ".", color=TRUTH, markersize=2.5, label="reference")
+        axes.plot(*fixes.T, ".", color=style.TRUTH, markersize=2.5, label="reference")
     # Where lines meet, the first estimator's is seen, and the next one's on both sides of it.
-    for place, (name, line) in enumerate(estimator_styles(tracks).items()):
+    for place, (name, line) in enumerate(style.estimator_styles(tracks).items()):
         axes.plot(*tracks[name][:, :2].T, **{**line, "linewidth": 1.1 + 0.5 * place, "zorder": 2.9 - 0.1 * place})
 
 
@@ -239,7 +223,9 @@ def _traffic(axes: Axes, recording: Recording) -> None:
     if traffic is None or truth is None or truth.vehicles is None:
         return
     middle = recording.elapsed_s[[len(recording.elapsed_s) // 2]]
-    outlines = PolyCollection(list(traffic.outlines(middle)[0]), facecolor=VEHICLES, edgecolor="white", linewidth=0.3)
+    outlines = PolyCollection(
+        list(traffic.outlines(middle)[0]), facecolor=style.VEHICLES, edgecolor="white", linewidth=0.3
+    )
     outlines.set(zorder=3, label="vehicles, half-way")
     axes.add_collection(outlines, autolim=False)
     sights = truth.vehicles.blocked[truth.vts.order[truth.vehicles.blocked[:, 0]] == 0]
@@ -247,9 +233,9 @@ def _traffic(axes: Axes, recording: Recording) -> None:
     for first, last in sights[:, 2:]:
         blocked[first : last + 1] = True
     if blocked.any():
-        style: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4, "zorder": 4}
-        style |= {"color": VEHICLES, "markeredgecolor": "white", "markeredgewidth": 0.5}
-        axes.plot(*truth.poses[blocked, :2][::20].T, **style, label="a site behind a vehicle")
+        drawn: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4, "zorder": 4}
+        drawn |= {"color": style.VEHICLES, "markeredgecolor": "white", "markeredgewidth": 0.5}
+        axes.plot(*truth.poses[blocked, :2][::20].T, **drawn, label="a site behind a vehicle")
 
 
 def _sites(axes: Axes, recording: Recording, extent: Extent) -> None:
@@ -258,7 +244,7 @@ def _sites(axes: Axes, recording: Recording, extent: Extent) -> None:
     (x0, x1), (y0, y1) = extent
     for site, (x, y, _) in enumerate(recording.truth.site_positions_m):
         if x0 < x < x1 and y0 < y < y1:
-            axes.plot(x, y, "^", color=SITES[site % len(SITES)], markeredgecolor=BLACK, markersize=8)
+            axes.plot(x, y, "^", color=style.SITES[site % len(style.SITES)], markeredgecolor=style.BLACK, markersize=8)
             axes.annotate(recording.sites.name[site], (x, y), xytext=(6, 5), textcoords="offset points", weight="bold")
 
 

@@ -128,7 +128,7 @@ def check(arguments: Namespace) -> int:
             print(f"{name}: {entry.versions.get(name, 'none')} in the entry, {text} here")
     wrong = 0
     with executor(arguments.executor, jobs, limits(arguments, jobs), arguments.scheduler) as pool:
-        for answer in pool.run(chosen):
+        for answer in pool(chosen):
             row = stated[answer.key]
             found = {"status": "failed", "error": answer.reason} if isinstance(answer, Lost) else answer.row
             differing = list(differences(row, found))

@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from cellslam.benchmarks.sweeps.executors import Serial, cores, executor
+from cellslam.benchmarks.sweeps.executors import cores, executor, one_thread
 from cellslam.benchmarks.sweeps.shards import note_shares, shares
 from cellslam.benchmarks.sweeps.store import statuses, writing, writing_shard
 from cellslam.benchmarks.sweeps.sweeping import carry_out, pending, seconds_of
@@ -125,8 +125,8 @@ def carry_plan(arguments: Namespace, made: Plan, of: str, names: Names, out: Pat
 def _estimate_cost(arguments: Namespace, size: str, todo: Plan, allowed: Limits, out: Path) -> None:
     """Print how long a plan of that size takes, or the script that carries it out."""
     print(size, file=sys.stderr if arguments.script else sys.stdout)
-    with Serial(allowed) as one:
-        seconds, parts = seconds_of(todo, one.external)
+    with one_thread(allowed) as external:
+        seconds, parts = seconds_of(todo, external)
     if arguments.script:
         sys.stdout.write(script(arguments, len(todo.tasks), seconds, out))
     elif parts:

@@ -16,7 +16,7 @@ from gymnasium.utils.env_checker import check_env
 import cellslam.benchmarks.env
 from cellslam.benchmarks.env.adapters import AgentEstimator, EstimatorAgent
 from cellslam.benchmarks.env.localization import REACH, LocalizationEnv, action_unit, observation, snapshot_of
-from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.recordings.sets.making import finish, make
 from cellslam.scenarios.estimator_options import Request, resolve
 from cellslam.scenarios.loading import load
@@ -75,7 +75,6 @@ def test_truth_is_in_info_alone_and_rewards_are_errors() -> None:
 def test_estimator_in_the_environment_is_the_estimator_of_run(name: str) -> None:
     scenario = load("tiny", SET)
     (request,) = resolve(scenario.estimator, (name,))
-    warm_up(request)
     expected = estimate(simulate(scenario, 11, 0), request, stream(11, 0, Stream.ESTIMATOR))
     env = made()
     seen, _ = env.reset(options={"scenario": "tiny", "seed": 11, "set": SET})

@@ -11,11 +11,16 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, multivariate_t
 
-from cellslam.benchmarks.scores.belief import AS_CLAIMED, LEVELS, Claim, energy_score, log_score
+from cellslam.benchmarks.scores.belief import AS_CLAIMED, LEVELS, Claim, energy_score, log_score, squared_error
 from cellslam.benchmarks.scores.metrics import METRIC, RISK, score
 from cellslam.benchmarks.scores.trial_result import TrialResult
 
 TILTED = np.array([[4.0, 1.5], [1.5, 1.0]])
+
+
+def test_nees_with_correlation() -> None:
+    e = np.array([1.0, -2.0])
+    assert squared_error(e[None], TILTED[None])[0] == pytest.approx(e @ np.linalg.inv(TILTED) @ e)
 
 
 def test_log_score_is_minus_the_logarithm_of_the_density() -> None:

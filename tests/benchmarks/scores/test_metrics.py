@@ -10,7 +10,7 @@ import pytest
 
 from cellslam.benchmarks.bound.cramer_rao import BoundResult
 from cellslam.benchmarks.scores.map_scores import precision_recall, stand_for, tracks_of
-from cellslam.benchmarks.scores.metrics import METRIC_KEYS, distance_m, nees, score
+from cellslam.benchmarks.scores.metrics import METRIC_KEYS, distance_m, score
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.scores.walls import true_walls
 from cellslam.slam.api import VtEstimate, WallEstimate
@@ -83,14 +83,6 @@ def test_shifted_estimate_by_worked_numbers(make_recording):
     scores = score(recording, changed, None)
     assert {key: scores[key] for key in expected} == pytest.approx(expected)
     assert scores["bound_position_rmse_m"] is None
-
-
-def test_nees_with_correlation():
-    covariance = np.zeros((1, 6, 6))
-    covariance[0, :2, :2] = [[4.0, 1.5], [1.5, 1.0]]
-    e = np.array([1.0, -2.0])
-    expected = e @ np.linalg.inv(covariance[0, :2, :2]) @ e
-    assert nees(np.zeros((1, 6)), np.array([[1.0, -2, 0, 0, 0, 0]]), covariance)[0] == pytest.approx(expected)
 
 
 def test_without_truth_nothing_applies(make_recording):

@@ -60,16 +60,16 @@ def test_what_failed_is_done_again_when_that_is_asked_for(place: Path) -> None:
 def test_what_is_lost_once_is_done_alone(place: Path) -> None:
     made, asked = plan_of({"set": SET}, ("misfits:Good", "dead-reckoning")), []
 
-    class Unlucky(executors.Serial):
-        def run(self, wanted: Any) -> Any:
+    with writing(place / "out", "test", {}) as store, executors.executor("serial", 1, Limits(60, 2**31)) as serial:
+
+        def unlucky(wanted: Any) -> Any:
             asked.append([job.estimator for task in wanted for job in task.jobs])
             for task in wanted:
                 lost = task.jobs[0]
                 if len(asked) == 1:
                     yield tasks.Lost(task, lost, "killed")
-                yield from super().run([task.without(lost.key) if len(asked) == 1 else task])
+                yield from serial([task.without(lost.key) if len(asked) == 1 else task])
 
-    with writing(place / "out", "test", {}) as store, Unlucky(Limits(60, 2**31)) as unlucky:
         sweeping.carry_out(made, store, unlucky, lambda *_: None)
     assert asked == [["good", "dead-reckoning"], ["good"]]
     assert {row["estimator"]: row["status"] for row in rows("out")} == dict.fromkeys(asked[0], "ok")
