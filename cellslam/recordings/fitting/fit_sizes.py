@@ -83,20 +83,21 @@ def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Pro
     """
     sheet = recording.odometry_model
     default = Learnt(dict(unmodelled(recording) if assumed is None else assumed), sheet, {}, None)
-    commanded = sheet.time_constant_s == 0.0
-    tried = 1 + len(TIME_CONSTANTS_S) + len(BETWEEN) if commanded else 0
-    with progress("learning the sizes of errors", tried + PASSES + 3 + commanded) as advance:
-        followed = replace(default, odometry_model=_followed(recording, default, advance) if commanded else sheet)
-        recording = replace(recording, odometry_model=followed.odometry_model)
+    followed = default
+    if sheet.time_constant_s == 0.0:
+        followed = replace(default, odometry_model=_followed(recording, default, progress))
+    recording = replace(recording, odometry_model=followed.odometry_model)
+    with progress("learning the sizes of errors", PASSES) as advance:
         fitted = _fitted(recording, assumed, advance)
-        if fitted is None:
-            return default
-        # What is learnt of the odometry is taken beside what is learnt of measurements, or not.
-        changes = {name: change for name, change in fitted.changes.items() if name not in COMPONENTS}
-        rivals = [default, replace(fitted, odometry_model=followed.odometry_model, changes=changes), fitted]
-        if followed.odometry_model.time_constant_s:
-            rivals.append(followed)
-        options, found = [EkfSlamOptions(**one.options) for one in rivals], list[Floats]()
+    if fitted is None:
+        return default
+    # What is learnt of the odometry is taken beside what is learnt of measurements, or not.
+    changes = {name: change for name, change in fitted.changes.items() if name not in COMPONENTS}
+    rivals = [default, replace(fitted, odometry_model=followed.odometry_model, changes=changes), fitted]
+    if followed is not default and followed.odometry_model.time_constant_s:
+        rivals.append(followed)
+    options, found = [EkfSlamOptions(**one.options) for one in rivals], list[Floats]()
+    with progress("comparing what was learnt with the defaults", len(rivals)) as advance:
         for one, own in zip(rivals, options, strict=True):
             found.append(scores(recording, Sheets(own, one.odometry_model), options))
             advance(1)
@@ -105,17 +106,18 @@ def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Pro
     return replace(rivals[best if worth[best].sure else 0], worth=worth[best])
 
 
-def _followed(recording: Recording, default: Learnt, advance: Callable[[int], None]) -> OdometryModel:
+def _followed(recording: Recording, default: Learnt, progress: Progress) -> OdometryModel:
     """Return the data sheet of commands with the least time constant that predicts what is measured later as well as
     the best one, within one deviation (Breiman et al. 1984), if that is surely better than that the vehicle follows at
     once. Too great a one predicts nearly as well, and errs more."""
     options, found = EkfSlamOptions(**default.options), dict[float, Floats]()
 
     def try_out(time_constants_s: Sequence[float]) -> float:
-        for tau in time_constants_s:
-            sheet = replace(default.odometry_model, time_constant_s=tau)
-            found[tau] = scores(recording, Sheets(options, sheet), [options])
-            advance(1)
+        with progress("learning how the vehicle follows commands", len(time_constants_s)) as advance:
+            for tau in time_constants_s:
+                sheet = replace(default.odometry_model, time_constant_s=tau)
+                found[tau] = scores(recording, Sheets(options, sheet), [options])
+                advance(1)
         return max(found, key=lambda tau: compared(found[0.0], found[tau]).mean)
 
     best = try_out((0.0, *TIME_CONSTANTS_S))
@@ -144,6 +146,7 @@ def _fitted(recording: Recording, assumed: Mapping[str, Any] | None, advance: Ca
             last = Pass(tried, found, off)
             fitting = last if fitting is None or off < fitting.off else fitting
             if off < FITS:
+                advance(PASSES - 1 - number)  # no more are needed
                 break
             tried = nearer
         elif last is None:
