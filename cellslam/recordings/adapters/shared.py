@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cellslam.recordings.importing.manifest import FileTable
 from cellslam.recordings.importing.odometry import OdometryTable
-from cellslam.recordings.importing.tables import Head, TableFile
+from cellslam.recordings.importing.tables import TableFile
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import mean_velocity
 from cellslam.sim.recording import COMPONENTS, Floats
@@ -61,14 +60,13 @@ def named(path: Path, columns: Mapping[str, Names], optional: tuple[str, ...] = 
     `columns`: under which names of the file each may stand, with units. Raises InputError where one that is not
     `optional` is missing.
     """
-    table, head = TableFile(path.parent, FileTable(file=path.name, columns={})), Head.of(path, "")
-    found: dict[str, Any] = {}
+    table, found = TableFile(path), dict[str, Any]()
     for own, names in columns.items():
-        name = next((each for each in names if each in head.names), None)
+        name = next((each for each in names if each in table.names), None)
         if name is not None:
             found[own] = np.array(table.labels(name)) if own == "id" else table.numbers(name) * names[name]
         elif own not in optional:
-            has = ", ".join(head.names)
+            has = ", ".join(table.names)
             raise InputError(f"{path}: has no column {' or '.join(names)} (it has: {has}); rename the one that it is")
     return found
 

@@ -32,9 +32,8 @@ from cellslam.recordings.adapters.shared import (
     trajectory,
 )
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
-from cellslam.recordings.importing.manifest import FileTable
 from cellslam.recordings.importing.odometry import OdometryTable
-from cellslam.recordings.importing.tables import Head, TableFile
+from cellslam.recordings.importing.tables import TableFile
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
 
@@ -75,11 +74,11 @@ def _of_tables(folder: Path) -> Campaign:
 def _of_streams(folder: Path) -> Campaign:
     """Return the campaign of a CSV file of event streams."""
     path = _only(folder, "*.csv")
-    names = Head.of(path, "").names
+    stream, drift = TableFile(path), None
+    names = stream.names
     if "t_twr" not in names:
         what = "time differences of arrival (t_tdoa), which are no ranges" if "t_tdoa" in names else "no column t_twr"
         raise InputError(f"{path}: holds {what}; give a recording of two-way ranging (t_twr, id, twr_meas)")
-    stream, drift = TableFile(folder, FileTable(file=path.name, columns={})), None
     times, number, distance = _group(stream, ("t_twr", "id", "twr_meas")).T
     if "t_gyro" in names:
         gyro = increasing(_group(stream, ("t_gyro", "gyro_z")))

@@ -15,7 +15,7 @@ from cellslam.scenarios.estimator_options import Request
 from cellslam.scenarios.keys import validate
 from cellslam.scenarios.overrides import apply, split
 from cellslam.scenarios.recording_origin import Origin
-from cellslam.sim.errors import InputError, nearest_name
+from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.lte.radio_config import NAMING, TECHNOLOGY
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, OdometryModel, Recording
@@ -111,9 +111,7 @@ def changed_sheet(sheet: OdometryModel, changes: Mapping[str, Any]) -> OdometryM
             sheet = replace(sheet, time_constant_s=commands.time_constant_s)
             continue
         if component not in COMPONENTS:
-            known = (*COMPONENTS, COMMANDS)
-            near = nearest_name(component, known)
-            raise InputError(f"{key}: unknown component '{component}'{near} (known: {', '.join(known)})")
+            raise unknown_name(f"component in {key}:", component, (*COMPONENTS, COMMANDS))
         checked = validate(Noise, {kind: value}, f"noise.{component}.")
         columns[kind][COMPONENTS.index(component)] = getattr(checked, kind)
     return replace(sheet, **columns)

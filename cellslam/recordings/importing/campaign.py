@@ -210,7 +210,7 @@ def _surveys(campaign: Campaign, names: Sequence[str]) -> dict[str, Floats]:
 def _model(campaign: Campaign) -> contract.OdometryModel:
     for name in campaign.noise:
         if name not in KINDS_OF_NOISE:
-            raise InputError(f"odometry noise: unknown '{name}' (known: {', '.join(KINDS_OF_NOISE)})")
+            raise unknown_name("kind of noise", name, KINDS_OF_NOISE)
     rows = {name: np.asarray(campaign.noise.get(name, NOTHING), np.float64) for name in KINDS_OF_NOISE}
     odometry = campaign.odometry
     return contract.OdometryModel(**rows, time_constant_s=None if odometry is None else odometry.time_constant_s)

@@ -13,7 +13,7 @@ import numpy as np
 from cellslam.recordings.importing.campaign import DEVIATIONS, QUANTITIES
 from cellslam.recordings.importing.manifest import Column, Manifest
 from cellslam.recordings.importing.tables import TableFile
-from cellslam.sim.errors import InputError, nearest_name
+from cellslam.sim.errors import InputError, nearest_name, unknown_name
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.recording import COMPONENTS, Floats
 
@@ -63,14 +63,13 @@ def read_table(folder: Path, manifest: Manifest, name: str) -> Table:
     described = TABLES["odometry of kind poses" if getattr(asked, "kind", "") == "poses" else name]
     for own, column in asked.columns.items():
         if own not in described:
-            near = nearest_name(own, described)
-            raise InputError(f"{name}.columns: unknown '{own}'{near} (known: {', '.join(described)})")
+            raise unknown_name(f"key of {name}.columns", own, described)
         if column.unit not in described[own]:
             allowed = ", ".join(described[own])
             raise InputError(f"{name}.columns.{own}: unit '{column.unit}' does not fit; give it in {allowed}")
     if "time_s" not in asked.columns:
         raise InputError(f"{name}.columns: 'time_s' is missing; name the column that holds the time")
-    file, rate = TableFile(folder, asked), manifest.measurements.sample_rate_hz
+    file, rate = TableFile(folder / asked.file, asked.variable, asked.delimiter), manifest.measurements.sample_rate_hz
     columns = {
         own: _in_our_unit(own, column, file.numbers(column.column), described[own], rate)
         for own, column in asked.columns.items()

@@ -12,7 +12,7 @@ from cellslam.recordings.importing.columns import ATTITUDE, POSITION, Table, rea
 from cellslam.recordings.importing.geodesy import projected
 from cellslam.recordings.importing.manifest import NAME, DriveTable, Link, Manifest, ReferenceFile, load_manifest
 from cellslam.recordings.importing.odometry import OdometryTable
-from cellslam.sim.errors import InputError, nearest_name
+from cellslam.sim.errors import InputError, nearest_name, unknown_name
 from cellslam.sim.frames import mean_velocity, rotation
 from cellslam.sim.recording import CLOCK_PRIOR, COMPONENTS, Floats, Ints, Recording
 
@@ -34,7 +34,7 @@ def campaign_of(folder: Path, manifest: Manifest) -> Campaign:
     table = read_table(folder, manifest, "measurements")
     for name, std in manifest.measurements.std.items():
         if name not in STDS:
-            raise InputError(f"measurements.std: unknown '{name}'{nearest_name(name, STDS)} (known: {', '.join(STDS)})")
+            raise unknown_name("key of measurements.std", name, STDS)
         table.columns[STDS[name]] = np.full(len(table.time_s), std if name == "distance_m" else np.radians(std))
     names, link = _links(manifest, table)
     links = [manifest.links.get(name) for name in names]
@@ -142,8 +142,7 @@ def _differences(columns: dict[str, Floats], times: Floats) -> dict[str, Floats]
 def _noise(manifest: Manifest) -> dict[str, tuple[float, ...]]:
     for name in manifest.noise:
         if name not in COMPONENTS:
-            near = nearest_name(name, COMPONENTS)
-            raise InputError(f"[noise.{name}]: unknown{near} (known: {', '.join(COMPONENTS)})")
+            raise unknown_name("component of [noise]", name, COMPONENTS)
     for name in manifest.odometry.columns if manifest.odometry is not None else ():
         if name in COMPONENTS and name not in manifest.noise:
             raise InputError(

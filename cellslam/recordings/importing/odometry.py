@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cellslam.sim.errors import InputError, nearest_name
+from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.frames import mean_velocity, rotation
 from cellslam.sim.recording import COMPONENTS, Floats
 
@@ -82,8 +82,7 @@ def motion_of(table: OdometryTable) -> Motion:
     values = np.full((len(times), 6), np.nan)
     for name, column in table.components.items():
         if name not in COMPONENTS:
-            near = nearest_name(name, COMPONENTS)
-            raise InputError(f"odometry: unknown component '{name}'{near} (known: {', '.join(COMPONENTS)})")
+            raise unknown_name("component of odometry", name, COMPONENTS)
         values[:, COMPONENTS.index(name)] = array = column_of("odometry", name, column, len(times))
         infinite = np.flatnonzero(np.isinf(array))
         if len(infinite):
