@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.benchmarks.scores.array_calibration import field_map
-from cellslam.benchmarks.trials.output_files import writing
+from cellslam.benchmarks.trials.output_files import at_once
 from cellslam.recordings.importing.campaign import DEVIATIONS, KINDS_OF_NOISE, QUANTITIES
 from cellslam.recordings.importing.columns import ATTITUDE, POSITION, TABLES
 from cellslam.recordings.importing.manifest import NAME
@@ -160,16 +158,9 @@ def new_folder(folder: Path) -> Iterator[Path]:
         raise InputError(f"--out {folder}: exists already; give the name of a new folder")
     if not folder.absolute().parent.is_dir():
         raise InputError(f"--out {folder}: there is no folder {folder.parent}; create it first")
-    place = folder.absolute().with_name(f".{folder.name}.{os.getpid()}.tmp")
-    try:
-        with writing(folder):
-            place.mkdir()
-            yield place
-            if folder.exists():
-                folder.rmdir()
-            place.replace(folder)
-    finally:
-        shutil.rmtree(place, ignore_errors=True)
+    with at_once(folder) as place:
+        place.mkdir()
+        yield place
 
 
 def write_calibration(calibration: Calibration, provenance: Mapping[str, Any], file: Path) -> None:
