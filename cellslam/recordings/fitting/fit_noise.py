@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from cellslam.recordings.fitting.fit_persisting import NAMES, Persisting, in_unit, persisting, reach
 from cellslam.recordings.fitting.fit_tracks import QUANTITIES, Tracks, polled_share, robust_std, tracks_of
@@ -173,12 +174,8 @@ def _against_snr(values: Floats, snr_db: Floats) -> tuple[float, float]:
 def _detection(r: Recording, tracks: Tracks) -> tuple[float, float]:
     """Return the share of snapshots between a track's first and last detection that have it, and its mean life in s."""
     rows = np.flatnonzero(tracks.track >= 0)
-    _, label = np.unique(tracks.track[rows], return_inverse=True)
-    snapshot = r.measurements.snapshot[rows]
-    count = np.bincount(label)
-    first, last = np.full(len(count), np.iinfo(np.int64).max), np.zeros(len(count), np.int64)
-    np.minimum.at(first, label, snapshot)
-    np.maximum.at(last, label, snapshot)
+    snapshots = pd.Series(r.measurements.snapshot[rows]).groupby(tracks.track[rows])
+    count, first, last = snapshots.agg(["count", "min", "max"]).to_numpy().T
     inner = last - first - 1
     share = (count - 2).sum() / max(inner.sum(), 1)
     life = r.time_s[last] - r.time_s[first]

@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel
 
 from cellslam.recordings.fitting.fit_noise import initial_options, unmodelled
 from cellslam.recordings.fitting.held_out import Worth, compared, scores
@@ -69,10 +68,6 @@ class Learnt:
     odometry_model: OdometryModel
     changes: dict[str, tuple[float, float]]
     worth: Worth | None
-
-    def table(self, model: type[BaseModel] | None) -> dict[str, Any]:
-        """Return the options of an estimator, those that its model has; empty for one that shares none."""
-        return self.options if model is not None and issubclass(model, MeasurementOptions) else {}
 
 
 def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Progress = silent) -> Learnt:
@@ -226,20 +221,21 @@ def _with_least(recording: Recording, sheet: OdometryModel) -> OdometryModel:
 def toml(path: Path, learnt: Learnt) -> str:
     """Return the tables [estimator.NAME] and [noise.COMPONENT] that `--options` takes, for every estimator that has
     these options; comments say where from."""
-    out = [f"# learnt from {path}; cellslam replay takes this file as --options FILE.toml"]
-    out += [f"# {line}" for line in in_words(learnt)]
-    tables = {e.name: learnt.table(registry.options_model(registry.resolve(e.name))) for e in registry.BUILT_IN}
-    for name, table in tables.items():
-        if table:
-            out += ["", f"[estimator.{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
-    sheet = learnt.odometry_model
+    import tomli_w
+
+    comments = [f"learnt from {path}; cellslam replay takes this file as --options FILE.toml", *in_words(learnt)]
+    models = {entry.name: registry.options_model(registry.resolve(entry.name)) for entry in registry.BUILT_IN}
+    options = {key: _rounded(value) for key, value in learnt.options.items()}
+    sharing = [name for name, model in models.items() if model is not None and issubclass(model, MeasurementOptions)]
+    sheet, noise = learnt.odometry_model, dict[str, dict[str, Any]]()
     if sheet.time_constant_s:
-        out += ["", f"[noise.{COMMANDS}]", f"time_constant_s = {sheet.time_constant_s:.4g}"]
+        noise[COMMANDS] = {"time_constant_s": _rounded(sheet.time_constant_s)}
     for i, component in enumerate(COMPONENTS):
-        values = {kind: getattr(sheet, kind)[i] for kind in KINDS_OF_NOISE}
-        if any(values.values()):
-            out += ["", f"[noise.{component}]", *(f"{kind} = {value:.4g}" for kind, value in values.items())]
-    return "\n".join(out) + "\n"
+        values = {kind: _rounded(float(getattr(sheet, kind)[i])) for kind in KINDS_OF_NOISE}
+        noise |= {component: values} if any(values.values()) else {}
+    tables = {"estimator": dict.fromkeys(sharing if options else (), options), "noise": noise}
+    text = tomli_w.dumps({name: table for name, table in tables.items() if table})
+    return "".join(f"# {line}\n" for line in comments) + "\n" + text
 
 
 def in_words(learnt: Learnt) -> list[str]:
@@ -259,5 +255,5 @@ def in_words(learnt: Learnt) -> list[str]:
     return [f"{begin}:", *(f"  {line}" for line in lines)] if lines else [f"{begin}, are about those that were assumed"]
 
 
-def _toml(value: float | str) -> str:
-    return f'"{value}"' if isinstance(value, str) else f"{value:.4g}"
+def _rounded(value: Any) -> Any:
+    return float(f"{value:.4g}") if isinstance(value, float) else value

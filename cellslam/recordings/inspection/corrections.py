@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.recordings.importing.odometry import Motion, integrate
+from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import odometry_of
 
 Arm = tuple[float, float]
+PLANE = [0, 1, 3]  # x, y, yaw of a pose
 GAP = 3.0  # median intervals: between fixes further apart than so nobody knows where the vehicle was
 
 
@@ -64,7 +66,7 @@ class Drive:
 
     def __init__(self, recording: Recording) -> None:
         self.time_s = recording.time_s
-        self._velocity = odometry_of(recording)[1:, [0, 1, 3]]
+        self._velocity = odometry_of(recording)[1:]
         self._tracks: dict[tuple[float, float, float], Floats] = {}
 
     def poses(self, times: Floats, c: Correction, arm: Arm) -> Floats:
@@ -78,12 +80,9 @@ class Drive:
         return away(x, y, yaw, arm)
 
     def _track(self, speed: float, yaw_rate: float, side: float) -> Floats:
-        dt = np.diff(self.time_s)
-        yaw = np.concatenate([[0.0], np.cumsum(self._velocity[:, 2] * dt * yaw_rate)])
-        half = 0.5 * (yaw[1:] + yaw[:-1])
-        ahead, left = self._velocity[:, 0] * dt * speed, self._velocity[:, 1] * dt * speed * side
-        step = np.column_stack([ahead * np.cos(half) - left * np.sin(half), ahead * np.sin(half) + left * np.cos(half)])
-        return np.column_stack([np.vstack([np.zeros(2), np.cumsum(step, axis=0)]), yaw])
+        velocity = self._velocity * np.array([speed, speed * side, 0.0, yaw_rate, 0.0, 0.0])
+        motion = Motion(self.time_s, velocity, np.ones(6, np.bool_))
+        return integrate(motion, self.time_s, np.zeros(6))[0][:, PLANE]
 
 
 class Fixes:
@@ -125,6 +124,22 @@ def away(x: Floats, y: Floats, yaw: Floats, arm: Arm) -> Floats:
     """Return poses (..., 3) of the point `arm` away, in m in the body frame, from one at x, y (m) with a yaw (rad)."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     return np.stack([x + cos * arm[0] - sin * arm[1], y + sin * arm[0] + cos * arm[1], yaw], axis=-1)
+
+
+def displacement(a: Floats, b: Floats) -> Floats:
+    """Return forward, left (m) and turn (rad), (n, 3), from poses a to b (n, 3) of x, y and yaw, in the frame of a."""
+    step = b[:, :2] - a[:, :2]
+    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+    return np.column_stack([c * step[:, 0] + s * step[:, 1], -s * step[:, 0] + c * step[:, 1], b[:, 2] - a[:, 2]])
+
+
+def moved_on(range_m: Floats, azimuth: Floats, elevation: Floats, moved: Floats) -> tuple[Floats, Floats]:
+    """Return the change of the range in m and the azimuth in rad (n,) of sources that stay where they are, after a
+    `displacement` (n, 3); before it they are seen at `range_m`, azimuth and elevation (n,) in rad.
+    """
+    flat, high = range_m * np.cos(elevation), range_m * np.sin(elevation)
+    x, y = flat * np.cos(azimuth) - moved[:, 0], flat * np.sin(azimuth) - moved[:, 1]
+    return np.sqrt(x * x + y * y + high * high) - np.abs(range_m), wrap_angle(np.arctan2(y, x) - moved[:, 2])
 
 
 def dead_reckoned(recording: Recording, times: Floats) -> Floats:

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from cellslam.recordings.inspection.corrections import Correction, Drive, Fixes
+from cellslam.recordings.inspection.corrections import Correction, Drive, Fixes, displacement, moved_on
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording
 
@@ -178,7 +178,7 @@ class PathEvidence:
     def _logs_of(self, pairs: Pairs, c: Correction, among: NDArray[np.bool_] | bool, yaw_mirrored: bool) -> Floats:
         at = pairs.pair[pairs.at]
         before, after = (self._poses(t, c, yaw_mirrored) for t in (pairs.before_s, pairs.after_s))
-        moved = _displacement(before, after[at])
+        moved = displacement(before, after[at])
         inside = np.isfinite(moved).all(axis=1) & np.broadcast_to(among, len(pairs.after_s))[at]
         range_error, azimuth_error = self._innovations(pairs, moved, c)
         # In units as recorded: a correction that shrinks what is recorded is not the better for it.
@@ -198,15 +198,10 @@ class PathEvidence:
         i, j = pairs.first, pairs.second
         distance = self.distance * c.distance + c.distance_zero_m
         azimuth = self.azimuth * c.azimuth + c.azimuth_zero_rad
-        cos, sin = np.cos(self.elevation[i]), np.sin(self.elevation[i])
-        reach = np.where(self.known[i], distance[i], FAR_M)
-        flat, high = reach * cos, reach * sin
-        x, y = flat * np.cos(azimuth[i]) - moved[:, 0], flat * np.sin(azimuth[i]) - moved[:, 1]
-        change = np.sqrt(x * x + y * y + high * high) - np.abs(reach)
-        turned = wrap_angle(azimuth[j] - np.arctan2(y, x) + moved[:, 2])
-        if not self.ranged:
-            return np.zeros(len(i)), turned
-        return distance[j] - distance[i] - change, turned
+        range_m = np.where(self.known[i], distance[i], FAR_M)
+        change, expected = moved_on(range_m, azimuth[i], self.elevation[i], moved)
+        range_error = distance[j] - distance[i] - change if self.ranged else np.zeros(len(i))
+        return range_error, wrap_angle(azimuth[j] - expected)
 
     def _mixture(
         self, pairs: Pairs, range_error: Floats, azimuth_error: Floats, start: tuple[float, float], jacobian: float
@@ -239,10 +234,3 @@ def _moves(poses: Floats) -> Floats:
     """Return how many steps, or turns, lie between poses (N, 3)."""
     step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     return np.asarray(np.maximum(step / STEP_M, np.abs(np.diff(poses[:, 2])) / TURN_RAD))
-
-
-def _displacement(a: Floats, b: Floats) -> Floats:
-    """Return forward, left and turn (n, 3) from poses a to b (n, 3), in the frame of a."""
-    step = b[:, :2] - a[:, :2]
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    return np.column_stack([c * step[:, 0] + s * step[:, 1], -s * step[:, 0] + c * step[:, 1], b[:, 2] - a[:, 2]])

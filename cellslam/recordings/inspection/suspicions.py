@@ -328,18 +328,14 @@ def _evidence_of(recording: Recording) -> list[Evidence]:
     """Return the comparisons that a recording allows."""
     fixes, drive = _fixes_of(recording), Drive(recording)
     with_odometry = len(recording.time_s) > 2 and not np.isnan(recording.odometry[:, 0]).all()
-    without_angles = np.isnan(recording.measurements.azimuth_rad).all()
+    of_paths = RangeEvidence if np.isnan(recording.measurements.azimuth_rad).all() else PathEvidence
     makers: list[Callable[[], Evidence]] = []
     if with_odometry:
-        makers.append(lambda: PathEvidence(recording, drive))
+        makers.append(lambda: of_paths(recording, drive, None))
     if with_odometry and fixes is not None:
         makers.append(lambda: ReferenceEvidence(drive, fixes))
-    if fixes is not None and not without_angles:
-        makers.append(lambda: PathEvidence(recording, drive, fixes))
-    if with_odometry and without_angles:
-        makers.append(lambda: RangeEvidence(recording, drive, None))
-    if without_angles and fixes is not None:
-        makers.append(lambda: RangeEvidence(recording, drive, fixes))
+    if fixes is not None:
+        makers.append(lambda: of_paths(recording, drive, fixes))
     found = []
     for make in makers:
         try:
