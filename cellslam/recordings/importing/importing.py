@@ -10,8 +10,8 @@ import numpy as np
 from cellslam.recordings.importing.campaign import KINDS_OF_NOISE, NOTHING, Campaign, ReferenceTable, build
 from cellslam.recordings.importing.columns import ATTITUDE, POSITION, Table, read_table
 from cellslam.recordings.importing.geodesy import projected
-from cellslam.recordings.importing.manifest import NAME, DriveTable, Link, Manifest, ReferenceFile, load_manifest
-from cellslam.recordings.importing.odometry import OdometryTable
+from cellslam.recordings.importing.manifest import NAME, DriveTable, Link, Manifest, Noise, ReferenceFile, load_manifest
+from cellslam.recordings.importing.odometry import OdometryTable, times_of
 from cellslam.sim.errors import InputError, nearest_name, unknown_name
 from cellslam.sim.frames import mean_velocity, rotation
 from cellslam.sim.recording import CLOCK_PRIOR, COMPONENTS, Floats, Ints, Recording
@@ -36,9 +36,9 @@ def campaign_of(folder: Path, manifest: Manifest) -> Campaign:
         if name not in STDS:
             raise unknown_name("key of measurements.std", name, STDS)
         table.columns[STDS[name]] = np.full(len(table.time_s), std if name == "distance_m" else np.radians(std))
-    names, link = _links(manifest, table)
-    links = [manifest.links.get(name) for name in names]
-    sites = [name if known is None else known.site for name, known in zip(names, links, strict=True)]
+    names, rows = _links(manifest, table)
+    links = [manifest.links.get(name, Link(site=name)) for name in names]
+    sites = [link.site for link in links]
     about: dict[str, Any] = {"description": manifest.description, "manifest": manifest.model_dump(mode="json")}
     odometry = reference = None
     if manifest.odometry is not None:
@@ -48,11 +48,11 @@ def campaign_of(folder: Path, manifest: Manifest) -> Campaign:
     return Campaign(
         time_s=table.time_s,
         columns=table.columns,
-        link=link,
+        link=rows,
         link_sites=sites,
-        link_cells=[-1 if known is None else known.cell_id for known in links],
-        link_ports=[-1 if known is None else known.port for known in links],
-        link_azimuths=[_azimuth(known) for known in links],
+        link_cells=[link.cell_id for link in links],
+        link_ports=[link.port for link in links],
+        link_azimuths=[np.nan if link.azimuth_deg is None else np.radians(link.azimuth_deg) for link in links],
         site_offsets=_offsets(manifest, sites),
         site_surveys=_surveys(manifest),
         odometry=odometry,
@@ -111,19 +111,10 @@ def _surveys(manifest: Manifest) -> dict[str, tuple[float, ...]]:
     }
 
 
-def _azimuth(link: Link | None) -> float:
-    return np.nan if link is None or link.azimuth_deg is None else float(np.radians(link.azimuth_deg))
-
-
 def _odometry(table: Table, asked: DriveTable) -> OdometryTable:
     times, columns, hold = table.time_s, table.columns, asked.hold
     if asked.kind == "poses":
-        late = np.flatnonzero(~(np.diff(times) > 0))
-        if len(late):
-            raise InputError(
-                f"{table.file.path}: row {late[0] + 1}: its time is not after that of the row before it: sort by time"
-            )
-        columns, times, hold = _differences(columns, times), times[1:], "before"
+        columns, times, hold = _differences(columns, times_of("odometry", times)), times[1:], "before"
     if asked.axes == "forward-right-down":
         other_way = ("u_y", "u_z", "u_psi", "u_theta")
         columns = {name: -values if name in other_way else values for name, values in columns.items()}
@@ -149,8 +140,8 @@ def _noise(manifest: Manifest) -> dict[str, tuple[float, ...]]:
                 f"[noise.{name}] is missing: write its noise_density (m/s or rad/s times root second), bias, scale; "
                 "'cellslam fit-noise' estimates them once the recording is made"
             )
-    rows = [manifest.noise.get(component) for component in COMPONENTS]
-    return {kind: tuple(0.0 if row is None else getattr(row, kind) for row in rows) for kind in KINDS_OF_NOISE}
+    rows = [manifest.noise.get(component, Noise()) for component in COMPONENTS]
+    return {kind: tuple(getattr(row, kind) for row in rows) for kind in KINDS_OF_NOISE}
 
 
 def _start(manifest: Manifest) -> tuple[float, ...] | None:
