@@ -13,6 +13,7 @@ import numpy as np
 from cellslam.recordings.importing.campaign import DEVIATIONS, QUANTITIES
 from cellslam.recordings.importing.manifest import Column, Manifest
 from cellslam.recordings.importing.tables import TableFile
+from cellslam.sim.described import POSE_COLUMNS, POSITION_COLUMNS
 from cellslam.sim.errors import InputError, nearest_name, unknown_name
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.recording import COMPONENTS, Floats
@@ -27,7 +28,6 @@ RATE: Units = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
 SPEED: Units = {"m/s": 1.0, "km/h": 1.0 / 3.6}
 LEVEL: Units = {"dB": 1.0}
 
-POSITION, ATTITUDE = ("x_m", "y_m", "z_m"), ("yaw_rad", "pitch_rad", "roll_rad")
 TABLES: dict[str, dict[str, Units]] = {
     "measurements": {
         "time_s": TIME,
@@ -36,10 +36,14 @@ TABLES: dict[str, dict[str, Units]] = {
     },
     "snapshots": {"time_s": TIME},
     "odometry": {"time_s": TIME, **dict.fromkeys(COMPONENTS[:3], SPEED), **dict.fromkeys(COMPONENTS[3:], RATE)},
-    "odometry of kind poses": {"time_s": TIME, **dict.fromkeys(POSITION, LENGTH), **dict.fromkeys(ATTITUDE, ANGLE)},
+    "odometry of kind poses": {
+        "time_s": TIME,
+        **dict.fromkeys(POSITION_COLUMNS, LENGTH),
+        **dict.fromkeys(POSE_COLUMNS[3:], ANGLE),
+    },
     "reference": {
         "time_s": TIME,
-        **dict.fromkeys(POSITION, LENGTH),
+        **dict.fromkeys(POSITION_COLUMNS, LENGTH),
         **dict.fromkeys(("latitude_rad", "longitude_rad", "yaw_rad"), ANGLE),
         "std_m": LENGTH,
     },

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from cellslam.recordings.importing.campaign import KINDS_OF_NOISE, NOTHING, Campaign, ReferenceTable, build
-from cellslam.recordings.importing.columns import ATTITUDE, POSITION, Table, read_table
+from cellslam.recordings.importing.columns import Table, read_table
 from cellslam.recordings.importing.geodesy import projected
 from cellslam.recordings.importing.manifest import NAME, DriveTable, Link, Manifest, Noise, ReferenceFile, load_manifest
 from cellslam.recordings.importing.odometry import OdometryTable, times_of
+from cellslam.sim.described import POSE_COLUMNS
 from cellslam.sim.errors import InputError, nearest_name, unknown_name
 from cellslam.sim.frames import mean_velocity, rotation
 from cellslam.sim.recording import CLOCK_PRIOR, COMPONENTS, Floats, Ints, Recording
@@ -123,10 +124,9 @@ def _odometry(table: Table, asked: DriveTable) -> OdometryTable:
 
 def _differences(columns: dict[str, Floats], times: Floats) -> dict[str, Floats]:
     """Return mean body velocities from poses in a frame of the odometry's own; what has no column does not move."""
-    names = (*POSITION, *ATTITUDE)
-    poses = np.column_stack([columns.get(name, np.zeros(len(times))) for name in names])
+    poses = np.column_stack([columns.get(name, np.zeros(len(times))) for name in POSE_COLUMNS])
     u = mean_velocity(poses[:-1], poses[1:], np.diff(times))
-    given = [any(name in columns for name in ("x_m", "y_m"))] * 2 + [name in columns for name in names[2:]]
+    given = [any(name in columns for name in ("x_m", "y_m"))] * 2 + [name in columns for name in POSE_COLUMNS[2:]]
     return {name: u[:, i] for i, name in enumerate(COMPONENTS) if given[i]}
 
 
