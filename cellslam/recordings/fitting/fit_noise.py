@@ -18,7 +18,6 @@ from cellslam.recordings.fitting.fit_tracks import QUANTITIES, Tracks, polled_sh
 from cellslam.recordings.inspection.corrections import dead_reckoned
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Recording
 from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS, MeasurementOptions
 from cellslam.slam.measurements.readings import CLUTTER_WIDTH
@@ -75,12 +74,12 @@ def extent_of(recording: Recording) -> float:
     return min(max(diagonal, LEAST_EXTENT_M), usual)
 
 
-def initial_options(recording: Recording, progress: Progress = silent) -> dict[str, float]:
+def initial_options(recording: Recording) -> dict[str, float]:
     """Return the front-end options (m, deg, s) that the tracks of a recording give, by name.
 
     Raises InputError where there are too few tracks to tell.
     """
-    fitted = fit(recording, progress)
+    fitted = fit(recording)
     shared = ("detection_probability", "clutter_density", "visible_s", "birth_ratio")
     out = {**UNKNOWN, "typical_range_m": extent_of(recording), **{name: getattr(fitted, name) for name in shared}}
     for key in NAMES.values():
@@ -98,13 +97,11 @@ def initial_options(recording: Recording, progress: Progress = silent) -> dict[s
     return out
 
 
-def fit(recording: Recording, progress: Progress = silent) -> Fitted:
+def fit(recording: Recording) -> Fitted:
     """Return what a recording shows of its noise. Raises InputError where it has too little to tell."""
     if np.isnan(recording.measurements.distance_m).all() and np.isnan(recording.measurements.azimuth_rad).all():
         raise InputError("fit-noise needs distances or azimuths, and the recording has neither")
-    with progress("joining measurements to tracks", 1) as advance:
-        tracks = tracks_of(recording)
-        advance(1)
+    tracks = tracks_of(recording)
     count = len(np.unique(tracks.track[tracks.track >= 0]))
     tracked = int((tracks.track >= 0).sum())
     if tracked < LEAST_TRACKED:
