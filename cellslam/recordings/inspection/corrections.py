@@ -16,6 +16,7 @@ from cellslam.slam.api import odometry_of
 
 Arm = tuple[float, float]
 PLANE = [0, 1, 3]  # x, y, yaw of a pose
+OF_TABLE = {"odometry": ("speed", "yaw_rate", "side"), "reference": ("reference", "mirrored")}  # fields of Correction
 GAP = 3.0  # median intervals: between fixes further apart than so nobody knows where the vehicle was
 
 
@@ -41,20 +42,20 @@ class Correction:
     measurements_arm_m: Arm = (0.0, 0.0)
     reference: float = 1.0
     mirrored: bool = False
+    yaw_mirrored: bool = False  # yaws count from north, clockwise, as those of a reference north-east-down do
     reference_late_s: float = 0.0
     reference_arm_m: Arm = (0.0, 0.0)
 
-    def effect(self, table: str, fields: Sequence[str]) -> Correction:
-        """Return what shows of it between the odometry and another table, which alone has `fields`: of delays and arms
-        only differences show, or, of the array from the point of both, sums.
+    def effect(self, own: str, other: str, fields: Sequence[str]) -> Correction:
+        """Return what shows of it between the table `own`, odometry or reference, and another one, which alone has
+        `fields`: of delays and arms only differences show, or, of the array from the point of both, sums.
         """
-        (x, y), (other_x, other_y) = self.odometry_arm_m, getattr(self, f"{table}_arm_m")
-        sign = -1.0 if table == "reference" else 1.0
-        return Correction(
-            odometry_late_s=self.odometry_late_s - getattr(self, f"{table}_late_s"),
-            odometry_arm_m=(x + sign * other_x, y + sign * other_y),
-            **{field: getattr(self, field) for field in ("speed", "yaw_rate", "side", *fields)},
-        )
+        (x, y), (other_x, other_y) = getattr(self, f"{own}_arm_m"), getattr(self, f"{other}_arm_m")
+        sign = -1.0 if other == "reference" else 1.0
+        shown: dict[str, Any] = {field: getattr(self, field) for field in (*OF_TABLE[own], *fields)}
+        shown[f"{own}_late_s"] = getattr(self, f"{own}_late_s") - getattr(self, f"{other}_late_s")
+        shown[f"{own}_arm_m"] = (x + sign * other_x, y + sign * other_y)
+        return Correction(**shown)
 
     def having(self, field: str, value: Any) -> Correction:
         """Return it with one of its fields, by name, at another value."""
@@ -64,20 +65,26 @@ class Correction:
 class Drive:
     """The odometry in the plane, from the origin, for any correction of it."""
 
+    table = "odometry"
+
     def __init__(self, recording: Recording) -> None:
         self.time_s = recording.time_s
         self._velocity = odometry_of(recording)[1:]
         self._tracks: dict[tuple[float, float, float], Floats] = {}
 
-    def poses(self, times: Floats, c: Correction, arm: Arm) -> Floats:
-        """Return x, y (m) and yaw (rad), (..., 3), at `times` (...,) in s, of the point `arm` away; NaN outside."""
-        key = (c.speed, c.yaw_rate, c.side)
+    def poses(self, times: Floats, c: Correction) -> Floats:
+        """Return x, y (m) and yaw (rad), (..., 3), of the array at `times` (...,) in s; NaN outside."""
+        key, when = (c.speed, c.yaw_rate, c.side), times + c.odometry_late_s
         if key not in self._tracks:
             self._tracks[key] = self._track(*key)
-        inside = (times >= self.time_s[0]) & (times <= self.time_s[-1])
+        inside = (when >= self.time_s[0]) & (when <= self.time_s[-1])
         columns = self._tracks[key].T
-        x, y, yaw = (np.where(inside, np.interp(times, self.time_s, column), np.nan) for column in columns)
-        return away(x, y, yaw, arm)
+        x, y, yaw = (np.where(inside, np.interp(when, self.time_s, column), np.nan) for column in columns)
+        return away(x, y, yaw, c.odometry_arm_m)
+
+    def places(self, times: Floats, c: Correction) -> Floats:
+        """Return x, y (..., 2) in m of the array at `times` (...,) in s; NaN outside."""
+        return self.poses(times, c)[..., :2]
 
     def _track(self, speed: float, yaw_rate: float, side: float) -> Floats:
         velocity = self._velocity * np.array([speed, speed * side, 0.0, yaw_rate, 0.0, 0.0])
@@ -90,6 +97,8 @@ class Fixes:
 
     Between fixes that are further apart than usual nothing is known.
     """
+
+    table = "reference"
 
     def __init__(self, time_s: Floats, position_m: Floats, yaw_rad: Floats | None) -> None:
         self.time_s, self.position_m = time_s, position_m
@@ -109,15 +118,12 @@ class Fixes:
         columns = self.position_m.T[::-1] if c.mirrored else self.position_m.T
         return c.reference * np.stack([np.where(inside, np.interp(when, self.time_s, p), np.nan) for p in columns], -1)
 
-    def poses(self, times: Floats, c: Correction, yaw_mirrored: bool = False) -> Floats:
-        """Return x, y (m) and yaw (rad), (..., 3), of the array at `times` (...,) in s; NaN outside.
-
-        `yaw_mirrored`: yaws count from north, clockwise, as those of a reference north-east-down do.
-        """
+    def poses(self, times: Floats, c: Correction) -> Floats:
+        """Return x, y (m) and yaw (rad), (..., 3), of the array at `times` (...,) in s; NaN outside."""
         assert self.yaw_rad is not None
         x, y = np.moveaxis(self.places(times, c), -1, 0)
         yaw = np.interp(times + c.reference_late_s, self.time_s, self.yaw_rad)
-        return away(x, y, 0.5 * np.pi - yaw if yaw_mirrored else yaw, c.reference_arm_m)
+        return away(x, y, 0.5 * np.pi - yaw if c.yaw_mirrored else yaw, c.reference_arm_m)
 
 
 def away(x: Floats, y: Floats, yaw: Floats, arm: Arm) -> Floats:

@@ -331,11 +331,11 @@ def _evidence_of(recording: Recording) -> list[Evidence]:
     of_paths = RangeEvidence if np.isnan(recording.measurements.azimuth_rad).all() else PathEvidence
     makers: list[Callable[[], Evidence]] = []
     if with_odometry:
-        makers.append(lambda: of_paths(recording, drive, None))
+        makers.append(lambda: of_paths(recording, drive))
     if with_odometry and fixes is not None:
         makers.append(lambda: ReferenceEvidence(drive, fixes))
     if fixes is not None:
-        makers.append(lambda: of_paths(recording, drive, fixes))
+        makers.append(lambda: of_paths(recording, fixes))
     found = []
     for make in makers:
         try:
