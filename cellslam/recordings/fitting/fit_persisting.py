@@ -16,6 +16,7 @@ as `slam.front_end` has it; the scale of the place is the one that fits best.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +35,7 @@ FAR_KNOWN, FAR_UNKNOWN = 0.3, 0.03
 LEAST_PATHS, ROUNDS, MOST_LEVERAGE = 4, 6, 0.8  # of the robust fit
 
 
-@dataclass(frozen=True)
-class Persisting:
+class Persisting(NamedTuple):
     """Deviations of errors that change with the place, over `scale_m`, and with the direction; empty: not known."""
 
     place: dict[str, float]
