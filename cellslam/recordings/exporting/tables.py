@@ -12,7 +12,7 @@ import numpy as np
 from cellslam.benchmarks.scores.array_calibration import field_map
 from cellslam.benchmarks.trials.output_files import at_once
 from cellslam.recordings.importing.campaign import DEVIATIONS, KINDS_OF_NOISE, QUANTITIES
-from cellslam.recordings.importing.columns import TABLES
+from cellslam.recordings.importing.importing import TABLES
 from cellslam.recordings.importing.manifest import NAME
 from cellslam.sim.described import POSE_COLUMNS, POSITION_COLUMNS
 from cellslam.sim.errors import InputError
