@@ -104,11 +104,7 @@ def _joined(r: Recording, poses: Floats, rows: int, scale: Floats) -> Steps:
         near = np.flatnonzero(cost < GATE**2)
         near = near[np.argsort(cost[near], kind="stable")]
         # Mutual best: the first row of each in order of cost.
-        best_first = np.zeros(len(near), bool)
-        best_first[np.unique(first[near], return_index=True)[1]] = True
-        best_second = np.zeros(len(near), bool)
-        best_second[np.unique(second[near], return_index=True)[1]] = True
-        kept = near[best_first & best_second]
+        kept = near[~(pd.Series(first[near]).duplicated() | pd.Series(second[near]).duplicated())]
         has_next[first[kept]], has_last[second[kept]] = True, True
         parts.append((first[kept], second[kept], np.full(len(kept), lag), innovation[kept]))
     return Steps(*(np.concatenate([part[i] for part in parts]) for i in range(4)))

@@ -171,8 +171,6 @@ def _text_columns(path: Path, head: Head) -> dict[str, Any]:
                 path, sep=head.separator or r"\s+", skipinitialspace=True, index_col=False, low_memory=False,
                 header=0 if head.named_first else None, names=names, skiprows=list(head.comments) or None,
             )  # fmt: skip
-    except pd.errors.EmptyDataError:
-        raise InputError(f"{path}: is empty; it needs a header line with the names of the columns") from None
     except pd.errors.ParserError as error:
         reason = str(error).removeprefix("Error tokenizing data. C error: ").strip()
         raise InputError(f"{path}: {reason}; {cells}") from error

@@ -77,9 +77,7 @@ class Drive:
         key, when = (c.speed, c.yaw_rate, c.side), times + c.odometry_late_s
         if key not in self._tracks:
             self._tracks[key] = self._track(*key)
-        inside = (when >= self.time_s[0]) & (when <= self.time_s[-1])
-        columns = self._tracks[key].T
-        x, y, yaw = (np.where(inside, np.interp(when, self.time_s, column), np.nan) for column in columns)
+        x, y, yaw = (np.interp(when, self.time_s, column, np.nan, np.nan) for column in self._tracks[key].T)
         return away(x, y, yaw, c.odometry_arm_m)
 
     def places(self, times: Floats, c: Correction) -> Floats:
@@ -113,10 +111,8 @@ class Fixes:
 
     def places(self, times: Floats, c: Correction) -> Floats:
         """Return x, y (..., 2) in m at `times` (...,) in s, for a correction of the reference; NaN outside."""
-        when = times + c.reference_late_s
-        inside = (when >= self.time_s[0]) & (when <= self.time_s[-1])
-        columns = self.position_m.T[::-1] if c.mirrored else self.position_m.T
-        return c.reference * np.stack([np.where(inside, np.interp(when, self.time_s, p), np.nan) for p in columns], -1)
+        when, columns = times + c.reference_late_s, self.position_m.T[::-1] if c.mirrored else self.position_m.T
+        return c.reference * np.stack([np.interp(when, self.time_s, p, np.nan, np.nan) for p in columns], -1)
 
     def poses(self, times: Floats, c: Correction) -> Floats:
         """Return x, y (m) and yaw (rad), (..., 3), of the array at `times` (...,) in s; NaN outside."""
