@@ -68,7 +68,7 @@ class PathEvidence:
         """Raise ValueError where azimuths, yaws or motion are too few."""
         m, self.motion, self.time_s = recording.measurements, motion, recording.time_s
         self.of_fixes = isinstance(motion, Fixes)
-        self.name = "sightings" if self.of_fixes else "paths"
+        self.name = f"measured paths and {motion.table}"
         self.usable = ~np.isnan(m.azimuth_rad) & (~np.isnan(m.distance_m) | np.isnan(m.distance_m).all())
         if self.usable.sum() < FEWEST:
             raise ValueError

@@ -33,7 +33,7 @@ class ReferenceEvidence:
     A stretch's scale of residuals is free as well: an outlier spoils no more than its own stretch.
     """
 
-    name = "reference"
+    name = "reference and odometry"
 
     def __init__(self, drive: Drive, fixes: Fixes) -> None:
         """Raise ValueError where the fixes are too few."""
@@ -100,7 +100,7 @@ class RangeEvidence:
     def __init__(self, recording: Recording, motion: Drive | Fixes) -> None:
         """Raise ValueError where ranges or fixes are too few."""
         m, self.motion = recording.measurements, motion
-        self.name = "places" if isinstance(motion, Fixes) else "ranges"
+        self.name = f"distances and {motion.table}"
         rows = np.flatnonzero(~np.isnan(m.distance_m))
         at, links = m.snapshot[rows], m.link[rows]
         if not len(rows) or len(rows) > PATHS * len(np.unique(at * len(recording.links) + links)):
