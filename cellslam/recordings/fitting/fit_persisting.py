@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
@@ -139,10 +140,8 @@ def _pairs(tracks: Tracks, recording: Recording, lag: int) -> tuple[Ints, Ints]:
     rows = np.flatnonzero(tracks.track >= 0)
     snapshots = len(recording.time_s) + lag
     code = tracks.track[rows] * snapshots + recording.measurements.snapshot[rows]
-    order = np.argsort(code)
-    at = np.minimum(np.searchsorted(code[order], code + lag), len(code) - 1)
-    found = code[order][at] == code + lag
-    return rows[found], rows[order[at[found]]]
+    later = pd.Series(rows, code).reindex(code + lag, fill_value=-1).to_numpy()
+    return rows[later >= 0], later[later >= 0]
 
 
 def _offset_known(r: Recording, rows: Ints) -> NDArray[np.bool_]:

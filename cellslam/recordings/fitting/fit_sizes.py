@@ -32,7 +32,7 @@ from cellslam.recordings.importing.manifest import COMMANDS
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, Floats, OdometryModel, Recording
 from cellslam.slam import registry
-from cellslam.slam.api import odometry_of, setup_of, snapshots_of
+from cellslam.slam.api import setup_of, steps_of
 from cellslam.slam.joint import sizes
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
@@ -178,10 +178,9 @@ def _found(recording: Recording, sheets: Sheets) -> Sizes | None:
     estimator = EkfSlam(sheets.options.model_copy(update={"merge_rate": 0.0}))
     estimator.grows = False
     recording = replace(recording, odometry_model=sheets.odometry)
-    odometry, dt_s = odometry_of(recording), np.diff(recording.time_s, prepend=recording.time_s[0])
     estimator.start(setup_of(recording), np.random.default_rng(0))
-    for t, snapshot in enumerate(snapshots_of(recording)):
-        estimator.step(float(dt_s[t]), odometry[t], snapshot)
+    for step in steps_of(recording):
+        estimator.step(*step)
     try:
         return estimator.sizes()
     except RuntimeError:
