@@ -41,6 +41,17 @@ def matrix(path: Path, columns: tuple[str, ...]) -> Floats:
     return rows
 
 
+def only(folder: Path, *patterns: str) -> Path:
+    """Return the one file of a folder that one of the patterns fits. Raises InputError where there is none, or more."""
+    found, kind = sorted(path for pattern in patterns for path in folder.glob(pattern)), " or ".join(patterns)
+    if not found:
+        raise InputError(f"{folder}: holds no file {kind}; download one drive into it")
+    if len(found) > 1:
+        names = ", ".join(path.name for path in found)
+        raise InputError(f"{folder}: holds more than one file {kind} ({names}): leave that of one drive in it")
+    return found[0]
+
+
 def is_known(name: str, value: str) -> bool:
     """Return whether an option that is "known" or "unknown" is known. Raises InputError for another value."""
     if value not in ("unknown", "known"):
