@@ -113,6 +113,6 @@ def test_folders_that_are_unclear(drive: Any, cellslam: Run) -> None:
     made = tables(drive, False)
     for name in ("Plaza1_.mat", "Plaza2_.mat"):
         savemat(name, made)
-    refused(cellslam(*words, "."), "more than one file *.mat or *DR.txt (Plaza1_.mat, Plaza2_.mat): leave that of one drive")
+    refused(cellslam(*words, "."), "more than one file *.mat or *DR.txt (Plaza1_.mat, Plaza2_.mat): leave that of one")
     savemat("Plaza1_.mat", made | {"TD": made["TD"][:, :3]})
     refused(cellslam(*words, "Plaza1_.mat"), "TD has shape")
