@@ -17,6 +17,7 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.rays.paths import Floats
 
 if TYPE_CHECKING:
+    from cellslam.sim.rays.exchange import Traced
     from cellslam.sim.vehicle.route import Route
     from cellslam.sim.world import WorldConfig
 
@@ -130,19 +131,15 @@ def read_positions(path: Path) -> tuple[Floats, Floats | None]:
     return values[:, :3], values[:, 3:] if len(names) > 3 else None
 
 
-def write_pictures(city: City, out: Path, plain: bool, html: bool) -> list[Path]:
-    """Write the plan and the view of a city, or its interactive page, into `out`; return the files."""
+def write_pictures(
+    city: City, plan: str | Path | None, view: str | Path | None, page: str | Path | None, rays: Traced | None = None
+) -> list[Path]:
+    """Write the plan, the view and the interactive page of a city into the files that are given; return these."""
     from cellslam.benchmarks.figures.city_pictures import draw_plan, draw_view
+    from cellslam.benchmarks.report.city_page import write_city
 
-    out.mkdir(parents=True, exist_ok=True)
-    written = []
-    if plain:
-        written = [out / "plan.png", out / "view.png"]
-        draw_plan(written[0], city)
-        draw_view(written[1], city)
-    if html:
-        from cellslam.benchmarks.report.city_page import write_city
-
-        written.append(out / "city.html")
-        write_city(written[-1], city)
-    return written
+    asked = [(Path(file), draw) for file, draw in ((plan, draw_plan), (view, draw_view), (page, write_city)) if file]
+    for file, draw in asked:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        draw(file, city, rays)
+    return [file for file, _ in asked]

@@ -10,10 +10,9 @@ import numpy as np
 
 from cellslam.benchmarks.trials.output_files import check_file, writing
 from cellslam.cli.arguments import FLAG, REPEATED, add, whole
-from cellslam.cli.cities import add_mesh, city_of, parse_positions, read_positions, take_positions
+from cellslam.cli.cities import add_mesh, city_of, parse_positions, read_positions, take_positions, write_pictures
 from cellslam.cli.output import note
 from cellslam.progress_bars import bars
-from cellslam.sim.city import City
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays.exchange import Traced, write_deepmimo, write_sionna
 
@@ -65,7 +64,7 @@ def command(arguments: Namespace) -> None:
             else:
                 write = write_sionna if arguments.format == "sionna" else write_deepmimo
                 write(out, rays, arguments.carrier)
-        _draw(arguments, city, rays)
+        write_pictures(city, arguments.plan, arguments.view, arguments.html, rays)
     inside = int(np.count_nonzero(enclosing(city, receivers) != OUTSIDE))
     counts = np.bincount(paths.order[paths.edge < 0], minlength=arguments.max_order + 1)
     kinds = ", ".join(f"{count} of order {order}" for order, count in enumerate(counts))
@@ -112,16 +111,3 @@ def write_csv(path: Path, paths: Paths, doppler_hz: Floats | None) -> None:
     if doppler_hz is not None:
         columns["doppler_hz"] = np.char.mod("%.6f", doppler_hz)
     pd.DataFrame(columns).to_csv(path, index=False, float_format="%.9f")
-
-
-def _draw(arguments: Namespace, city: City, rays: Traced) -> None:
-    if arguments.plan or arguments.view:
-        from cellslam.benchmarks.figures.city_pictures import draw_plan, draw_view
-
-        for path, draw in ((arguments.plan, draw_plan), (arguments.view, draw_view)):
-            if path:
-                draw(Path(path), city, rays)
-    if arguments.html:
-        from cellslam.benchmarks.report.city_page import write_city
-
-        write_city(Path(arguments.html), city, rays)
