@@ -70,7 +70,7 @@ def command(arguments: Namespace) -> None:
         if kind in TABLES:
             from cellslam.recordings.exporting import tables
 
-            (tables.write_csv if kind == "csv" else tables.write_mat)(recording, out)
+            tables.write_tables(recording, out, kind)
         else:
             _check_result(kind, result)
             with at_once(out) as file:

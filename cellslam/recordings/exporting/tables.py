@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,27 +24,30 @@ UNITS = {name: next(iter(units)) for columns in TABLES.values() for name, units 
 Tables = dict[str, dict[str, Any]]
 
 
-def write_csv(recording: Recording, folder: Path) -> None:
-    """Write one CSV file a table and `recording.toml` into a new folder, at once. Raises InputError."""
-    import pandas as pd
+def write_tables(recording: Recording, folder: Path, kind: str) -> None:
+    """Write tables and `recording.toml` into a new folder, at once. Raises InputError.
 
-    made = tables(recording)
-    with new_folder(folder) as place:
-        for name, columns in {**made, **_truth_tables(recording)}.items():
-            pd.DataFrame(columns).to_csv(place / f"{name}.csv", index=False)
-        _write_manifest(recording, made, place, {name: {"file": f"{name}.csv"} for name in made})
-
-
-def write_mat(recording: Recording, folder: Path) -> None:
-    """Write `recording.mat` (version 5: one struct a table, columns) and `recording.toml` into a new folder, at
-    once.
+    `kind`: csv, one file a table, or mat, `recording.mat` (version 5: one struct a table, columns).
     """
+    import pandas as pd
     from scipy.io import savemat
 
-    made = tables(recording)
-    with new_folder(folder) as place:
-        savemat(place / "recording.mat", {**made, **_truth_tables(recording)}, oned_as="column", long_field_names=True)
-        _write_manifest(recording, made, place, {n: {"file": "recording.mat", "variable": n} for n in made})
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"--out {folder}: exists already; give the name of a new folder")
+    if not folder.absolute().parent.is_dir():
+        raise InputError(f"--out {folder}: there is no folder {folder.parent}; create it first")
+    imported = tables(recording)
+    every = imported | _truth_tables(recording)
+    with at_once(folder) as place:
+        place.mkdir()
+        if kind == "csv":
+            for name, columns in every.items():
+                pd.DataFrame(columns).to_csv(place / f"{name}.csv", index=False)
+            sources = {name: {"file": f"{name}.csv"} for name in imported}
+        else:
+            savemat(place / "recording.mat", every, oned_as="column", long_field_names=True)
+            sources = {name: {"file": "recording.mat", "variable": name} for name in imported}
+        _write_manifest(recording, imported, place, sources)
 
 
 def tables(recording: Recording) -> Tables:
@@ -137,18 +139,6 @@ def _write_manifest(recording: Recording, made: Tables, place: Path, sources: Ma
     if "reference" in made:
         text["reference"] = table("reference")
     (place / NAME).write_text(tomli_w.dumps(text), "utf-8")
-
-
-@contextmanager
-def new_folder(folder: Path) -> Iterator[Path]:
-    """Give a temporary folder that becomes `folder` when all went well, and disappears when not."""
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"--out {folder}: exists already; give the name of a new folder")
-    if not folder.absolute().parent.is_dir():
-        raise InputError(f"--out {folder}: there is no folder {folder.parent}; create it first")
-    with at_once(folder) as place:
-        place.mkdir()
-        yield place
 
 
 def write_calibration(calibration: Calibration, provenance: Mapping[str, Any], file: Path) -> None:

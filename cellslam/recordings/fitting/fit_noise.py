@@ -110,7 +110,7 @@ def _triples(tracks: Tracks) -> tuple[Ints, Floats]:
     steps = tracks.steps
     tracked = tracks.track[steps.first] >= 0
     single = np.flatnonzero(tracked & (steps.lag == np.bincount(steps.lag[tracked], minlength=2).argmax()))
-    at = np.full(tracks.rows, -1, np.int64)
+    at = np.full(len(tracks.track), -1, np.int64)
     at[steps.first[single]] = single
     following = at[steps.second[single]]
     pairs = following >= 0
@@ -155,7 +155,7 @@ def _clutter(r: Recording, tracks: Tracks) -> float:
     """Return rows without a track per link, epoch and m rad rad (over the middle 90 % of their distances)."""
     m = r.measurements
     loose = np.flatnonzero(tracks.track < 0)
-    seen = len(np.unique((m.snapshot * max(len(r.links), 1) + m.link)[: tracks.rows]))
+    seen = len(np.unique((m.snapshot * max(len(r.links), 1) + m.link)[: len(tracks.track)]))
     # A component that is not measured: the width that the filters take off the density for it.
     volume = CLUTTER_WIDTH[1] if np.isnan(m.azimuth_rad).all() else 2.0 * np.pi
     volume *= _spread(m.distance_m, loose, 1.0, 1000.0, CLUTTER_WIDTH[0])

@@ -36,7 +36,6 @@ class Steps:
 class Tracks:
     """`track` (M,) of each row used, -1 for none of three detections; `steps` between detections; poses (T, 6)."""
 
-    rows: int
     track: Ints
     steps: Steps
     poses: Floats
@@ -60,7 +59,7 @@ def tracks_of(recording: Recording) -> Tracks:
             known = np.isfinite(steps.innovation[:, i]).sum()
             scale[i] = initial if known < 30 else max(robust_std(steps.innovation[:, i]), 1e-4 * initial)
         steps = _joined(r, poses, rows, scale)
-    return Tracks(rows, _labels(steps, rows), steps, poses)
+    return Tracks(_labels(steps, rows), steps, poses)
 
 
 def innovations(recording: Recording, poses: Floats, first: Ints, second: Ints) -> Floats:
