@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cellslam.cli.arguments import REPEATED
 from cellslam.cli.output import note
 from cellslam.scenarios.keys import validate
 from cellslam.scenarios.loading import load, preset_names
@@ -87,23 +88,21 @@ def note_own_city(arguments: Namespace, world: WorldConfig, seed: int = 0, trial
         note_oddities(arguments, scene.city, route)
 
 
-def take_positions(parser: ArgumentParser) -> None:
-    """Let a parser take what starts with a minus and a digit for a position, not for an option."""
+def add_transmitters(parser: ArgumentParser, **more: Any) -> None:
+    """Add --bs, positions of transmitters; what starts with a minus and a digit is a position, not an option."""
     parser._negative_number_matcher = re.compile(r"-\.?\d")
+    parser.add_argument("--bs", metavar="X,Y,Z", type=_position, **REPEATED | more)
 
 
-def parse_positions(texts: list[str]) -> Floats:
-    """Return positions (S, 3) in m, which --bs gives as X,Y,Z. Raises InputError."""
-    rows = []
-    for text in texts:
-        try:
-            row = [float(part) for part in text.split(",")]
-        except ValueError:
-            row = []
-        if len(row) != 3 or not np.isfinite(row).all():
-            raise InputError(f"--bs '{text}': write X,Y,Z in metres, as in --bs=12.5,-40,25")
-        rows.append(row)
-    return np.array(rows, np.float64)
+def _position(text: str) -> tuple[float, ...]:
+    """Return x, y, z in m. Raises ArgumentTypeError."""
+    try:
+        position = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        position = ()
+    if len(position) != 3 or not np.isfinite(position).all():
+        raise ArgumentTypeError(f"'{text}': write X,Y,Z in metres, as in --bs=12.5,-40,25")
+    return position
 
 
 def read_positions(path: Path) -> tuple[Floats, Floats | None]:

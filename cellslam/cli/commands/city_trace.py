@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellslam.benchmarks.trials.output_files import check_file, writing
-from cellslam.cli.arguments import FLAG, REPEATED, add, whole
-from cellslam.cli.cities import add_mesh, city_of, parse_positions, read_positions, take_positions, write_pictures
+from cellslam.cli.arguments import FLAG, add, whole
+from cellslam.cli.cities import add_mesh, add_transmitters, city_of, read_positions, write_pictures
 from cellslam.cli.output import note
 from cellslam.progress_bars import bars
 from cellslam.sim.errors import InputError
@@ -24,10 +24,8 @@ EXAMPLES = ("city trace sionna-rt:munich --bs=42,-50,30 --rx rx.csv --out paths.
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    take_positions(parser)
     add_mesh(parser, "MESH")
-    bs_help = "transmitter in metres; may be repeated"
-    parser.add_argument("--bs", metavar="X,Y,Z", required=True, help=bs_help, **REPEATED)
+    add_transmitters(parser, required=True, help="transmitter in metres; may be repeated")
     parser.add_argument("--rx", metavar="RX.csv", required=True, help="receivers: columns x,y,z (vx,vy,vz: Doppler)")
     add(parser, "--out", metavar="PATHS", required=True, help="the table, .npz or folder to write")
     format_help = "csv: a row a path; sionna: .npz as of Sionna RT; deepmimo: a scenario's folder (default: csv)"
@@ -47,7 +45,7 @@ def command(arguments: Namespace) -> None:
 
     out = Path(arguments.out)
     _check_files(arguments, out)
-    transmitters = parse_positions(arguments.bs)
+    transmitters = np.array(arguments.bs)
     receivers, velocity = read_positions(Path(arguments.rx))
     with bars(arguments.quiet) as progress:
         with progress("reading the city", 1):
