@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -46,6 +47,23 @@ def writing(path: Path, remedy: str = "give another path") -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); {remedy}") from error
+
+
+@contextmanager
+def at_once(path: Path) -> Iterator[Path]:
+    """Give another name for the file or folder `path`: what is written there becomes `path` when all went well, and
+    disappears when not. Raises InputError where the disk refuses it.
+    """
+    place = path.absolute().with_name(f".{os.getpid()}.{path.name}")
+    try:
+        with writing(path):
+            yield place
+            place.replace(path)
+    finally:
+        if place.is_dir():
+            shutil.rmtree(place, ignore_errors=True)
+        else:
+            place.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:

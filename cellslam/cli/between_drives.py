@@ -42,11 +42,8 @@ def with_calibration(arguments: Namespace, requests: Sequence[Request], trials: 
     file = arguments.calibration
     if file is None:
         return tuple(requests), ""
-    able = {r.name for r in requests if r.options is not None and "calibration_file" in type(r.options).model_fields}
-    rest = ", ".join(r.name for r in requests if r.name not in able)
-    if not able:
-        raise InputError(f"--calibration {file}: {rest} cannot use it; use ekf-slam or fastslam")
-    note = f"without the calibration, which it cannot use: {rest}" if rest else ""
+    able = [r.name for r in requests if r.options is not None and "calibration_file" in type(r.options).model_fields]
+    note = _note_without("the calibration", able, requests)
     return tuple(_beginning_with(r, file) if r.name in able else r for r in requests), note
 
 
@@ -68,12 +65,16 @@ def check_map(arguments: Namespace, known: bool, requests: Sequence[Request], tr
     """
     able = [request.name for request in requests if uses_maps(request)]
     _check_saving("--save-map", arguments.save_map, able, trials)
-    if not known:
-        return ""
-    rest = ", ".join(r.name for r in requests if not uses_maps(r) and not r.external)
-    if not able and not any(r.external for r in requests):
-        raise InputError(f"a map, but {rest} cannot use it; use ekf-slam or fastslam")
-    return f"without the map, which it cannot use: {rest}" if rest else ""
+    able += [request.name for request in requests if request.external]
+    return _note_without("the map", able, requests) if known else ""
+
+
+def _note_without(what: str, able: Sequence[str], requests: Sequence[Request]) -> str:
+    """Return a note of the estimators that are not `able` to use what is given. Raises InputError where none is."""
+    rest = ", ".join(request.name for request in requests if request.name not in able)
+    if not able:
+        raise InputError(f"{what} is given, but {rest} cannot use it; use ekf-slam or fastslam")
+    return f"without {what}, which it cannot use: {rest}" if rest else ""
 
 
 def _check_saving(option: str, file: str | None, able: Sequence[str], trials: int) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cellslam.cli.arguments import REPEATED
 from cellslam.cli.output import note
 from cellslam.scenarios.keys import validate
 from cellslam.scenarios.loading import load, preset_names
@@ -17,6 +18,7 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.rays.paths import Floats
 
 if TYPE_CHECKING:
+    from cellslam.sim.rays.exchange import Traced
     from cellslam.sim.vehicle.route import Route
     from cellslam.sim.world import WorldConfig
 
@@ -86,23 +88,21 @@ def note_own_city(arguments: Namespace, world: WorldConfig, seed: int = 0, trial
         note_oddities(arguments, scene.city, route)
 
 
-def take_positions(parser: ArgumentParser) -> None:
-    """Let a parser take what starts with a minus and a digit for a position, not for an option."""
+def add_transmitters(parser: ArgumentParser, **more: Any) -> None:
+    """Add --bs, positions of transmitters; what starts with a minus and a digit is a position, not an option."""
     parser._negative_number_matcher = re.compile(r"-\.?\d")
+    parser.add_argument("--bs", metavar="X,Y,Z", type=_position, **REPEATED | more)
 
 
-def parse_positions(texts: list[str]) -> Floats:
-    """Return positions (S, 3) in m, which --bs gives as X,Y,Z. Raises InputError."""
-    rows = []
-    for text in texts:
-        try:
-            row = [float(part) for part in text.split(",")]
-        except ValueError:
-            row = []
-        if len(row) != 3 or not np.isfinite(row).all():
-            raise InputError(f"--bs '{text}': write X,Y,Z in metres, as in --bs=12.5,-40,25")
-        rows.append(row)
-    return np.array(rows, np.float64)
+def _position(text: str) -> tuple[float, ...]:
+    """Return x, y, z in m. Raises ArgumentTypeError."""
+    try:
+        position = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        position = ()
+    if len(position) != 3 or not np.isfinite(position).all():
+        raise ArgumentTypeError(f"'{text}': write X,Y,Z in metres, as in --bs=12.5,-40,25")
+    return position
 
 
 def read_positions(path: Path) -> tuple[Floats, Floats | None]:
@@ -130,19 +130,15 @@ def read_positions(path: Path) -> tuple[Floats, Floats | None]:
     return values[:, :3], values[:, 3:] if len(names) > 3 else None
 
 
-def write_pictures(city: City, out: Path, plain: bool, html: bool) -> list[Path]:
-    """Write the plan and the view of a city, or its interactive page, into `out`; return the files."""
+def write_pictures(
+    city: City, plan: str | Path | None, view: str | Path | None, page: str | Path | None, rays: Traced | None = None
+) -> list[Path]:
+    """Write the plan, the view and the interactive page of a city into the files that are given; return these."""
     from cellslam.benchmarks.figures.city_pictures import draw_plan, draw_view
+    from cellslam.benchmarks.report.city_page import write_city
 
-    out.mkdir(parents=True, exist_ok=True)
-    written = []
-    if plain:
-        written = [out / "plan.png", out / "view.png"]
-        draw_plan(written[0], city)
-        draw_view(written[1], city)
-    if html:
-        from cellslam.benchmarks.report.city_page import write_city
-
-        written.append(out / "city.html")
-        write_city(written[-1], city)
-    return written
+    asked = [(Path(file), draw) for file, draw in ((plan, draw_plan), (view, draw_view), (page, write_city)) if file]
+    for file, draw in asked:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        draw(file, city, rays)
+    return [file for file, _ in asked]

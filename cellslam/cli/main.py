@@ -134,10 +134,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return DONE
 
 
-def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
+def build_parser(words: Sequence[str]) -> argparse.ArgumentParser:
     """Return the parser of all commands; each sets `command`, a function of the arguments.
 
-    `words`: the command line; only the command that it names is imported and gets its arguments (None: all do).
+    `words`: the command line; only the command that it names is imported and gets its arguments.
     """
     common = Parser(add_help=False)
     parser = Parser(prog="cellslam", description=DESCRIPTION, epilog=_overview() + CLOSING, **FORMAT)
@@ -157,7 +157,7 @@ def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
             listed = {"help": summary} if group else {}  # commands without a group are listed in the overview
             one = groups[group].add_parser(last, parents=[common], description=summary, **FORMAT, **listed)
             one.set_defaults(parser=one)
-            if words is None or set(name.split()) <= set(words):
+            if set(name.split()) <= set(words):
                 module = module_of(name)
                 one.epilog = _examples(module.EXAMPLES)
                 module.add_arguments(one)
@@ -191,10 +191,10 @@ def complete(parser: argparse.ArgumentParser) -> None:
     argcomplete.autocomplete(parser)
 
 
-def _add_group(commands: Any, common: Parser, group: str, title: str, words: Sequence[str] | None) -> Any:
+def _add_group(commands: Any, common: Parser, group: str, title: str, words: Sequence[str]) -> Any:
     """Add a group of commands; return what takes its members."""
     parser = commands.add_parser(group, parents=[common], description=title, **FORMAT)
-    if [word for word in words or () if not word.startswith("-")] == [group]:  # its own help is asked for
+    if [word for word in words if not word.startswith("-")] == [group]:  # its own help is asked for
         parser.epilog = _examples([module_of(name).EXAMPLES[0] for name in SECTIONS[title]])
     return parser.add_subparsers(
         title="commands", metavar="COMMAND", dest=f"{group}_command", required=True, parser_class=Parser

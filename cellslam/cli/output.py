@@ -1,15 +1,10 @@
-"""What commands print and write: notes, tables, files at once."""
+"""What commands print: notes and tables."""
 
 from __future__ import annotations
 
-import os
 import sys
 from argparse import Namespace
-from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING
-
-from cellslam.benchmarks.trials.output_files import writing
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -66,14 +61,3 @@ def size_of(recording: Recording) -> str:
     """Return in words how much is in a recording."""
     links, measurements = len(recording.links), len(recording.measurements)
     return f"{len(recording.time_s)} snapshots, {links} links, {measurements} measurements"
-
-
-def at_once(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a file under another name first, so that nothing half-written is left behind."""
-    place = path.with_name(f".{os.getpid()}.{path.name}")
-    try:
-        with writing(path):
-            write(place)
-            place.replace(path)
-    finally:
-        place.unlink(missing_ok=True)

@@ -31,11 +31,6 @@ TABLES = ("estimator", "noise")
 ALONE = "dead-reckoning"
 
 
-def origin_by(arguments: Namespace, recording: Recording, path: Path) -> Origin:
-    """Return where a recording is from; code that it names is loaded where the arguments give it again."""
-    return Origin.of(recording, path, parse_all(arguments.sets))
-
-
 def assumed_by(
     arguments: Namespace,
     recording: Recording,
@@ -65,7 +60,7 @@ def estimates_by(
     """Return the recording with the data sheet that its estimators assume, what each of `names` makes of it, as
     `cellslam replay` of the file does, and whether the sheet was to be learnt. Raises InputError where one fails.
     """
-    origin = origin_by(arguments, recording, path)
+    origin = Origin.of(recording, path, parse_all(arguments.sets))
     seed = origin.seed if arguments.seed is None else arguments.seed
     results = []
     with bars(arguments.quiet) as progress, ExternalProcesses() as external:

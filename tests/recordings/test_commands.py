@@ -54,7 +54,8 @@ def test_whether_odometry_is_commanded_is_kept(tmp_path: Path) -> None:
     given = commanded(3)
     assert given.odometry is not None
     assert build(given).odometry_model.time_constant_s == 0.0
-    assert build(replace(given, odometry=replace(given.odometry, valid_s=None))).odometry_model.time_constant_s is None
+    measured = replace(given.odometry, valid_s=None, time_constant_s=None)
+    assert build(replace(given, odometry=measured)).odometry_model.time_constant_s is None
     known = build(replace(given, odometry=replace(given.odometry, time_constant_s=FOLLOWS_S)))
     known.save(tmp_path / "hall.h5")
     assert Recording.load(tmp_path / "hall.h5").odometry_model.time_constant_s == FOLLOWS_S

@@ -11,8 +11,7 @@ import pytest
 
 from cellslam.cli.commands.export import EXPORTS
 from cellslam.recordings.importing.campaign import build
-from cellslam.recordings.importing.columns import TABLES
-from cellslam.recordings.importing.importing import import_folder
+from cellslam.recordings.importing.importing import TABLES, import_folder
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.recording import Recording
 from cellslam.sim.recording.columns import COLUMNS

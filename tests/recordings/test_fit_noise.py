@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cellslam.recordings import Campaign, OdometryTable, ReferenceTable, build
-from cellslam.recordings.fitting.fit_noise import fit, initial_options
+from cellslam.recordings.fitting.fit_noise import UNKNOWN, initial_options
 from cellslam.recordings.fitting.fit_sizes import BURSTS, Learnt, learn, toml
 from cellslam.recordings.fitting.fit_tracks import tracks_of
 from cellslam.scenarios.estimator_options import resolve
@@ -75,13 +75,13 @@ def winding(count: int) -> Recording:
 
 
 def test_what_was_put_in_is_found(world: Recording) -> None:
-    found = fit(world)
-    assert found.floor["m"] == pytest.approx(STD_M, rel=0.2)
-    assert found.unit["m"] == pytest.approx(UNIT_M, rel=0.25)
-    assert found.floor["azimuth_deg"] == pytest.approx(np.degrees(STD_RAD), rel=0.2)
-    assert found.detection_probability == pytest.approx(DETECTED, abs=0.06)
+    found = initial_options(world)
+    assert found["noise_floor_m"] == pytest.approx(STD_M, rel=0.2)
+    assert found["noise_unit_snr_m"] == pytest.approx(UNIT_M, rel=0.25)
+    assert found["noise_floor_azimuth_deg"] == pytest.approx(np.degrees(STD_RAD), rel=0.2)
+    assert found["detection_probability"] == pytest.approx(DETECTED, abs=0.06)
     volume = 2 * np.pi * 0.9 * AREA_M * np.sqrt(2 * np.pi) * np.radians(0.5)
-    assert found.clutter_density == pytest.approx(FALSE / volume, rel=0.5)
+    assert found["clutter_density"] == pytest.approx(FALSE / volume, rel=0.5)
 
 
 def with_sheet(world: Recording, speed: float, turn: float) -> Recording:
@@ -143,7 +143,8 @@ def test_too_little_to_learn_is_told(thin: Recording, cellslam: Run) -> None:
 
 def test_errors_that_persist_are_told_from_white_ones(world: Recording) -> None:
     """What was put in is white; then the same errors of place are added to all of a track, over 3 m of the way."""
-    assert fit(world).persisting.place["m"] < 0.5 * STD_M
+    white = initial_options(world)
+    assert white["diffuse_m"] < 0.6 * STD_M
     way = np.concatenate([[0.0], np.cumsum(np.diff(world.time_s) * np.abs(world.odometry[1:, 0]))])
     rng = np.random.default_rng(2)
     knots = np.arange(0.0, way[-1] + 40.0, 1.0)
@@ -153,11 +154,11 @@ def test_errors_that_persist_are_told_from_white_ones(world: Recording) -> None:
     place = rng.standard_normal((40, len(knots))) @ (smooth / np.sqrt((smooth**2).sum(axis=1, keepdims=True))).T
     kind = np.maximum(tracks_of(world).track, 0) % 40
     extra = place[kind, np.minimum(way[m.snapshot].astype(int), len(knots) - 1)]
-    found = fit(
+    found = initial_options(
         dataclasses.replace(world, measurements=dataclasses.replace(m, distance_m=m.distance_m + 0.5 * extra))
-    ).persisting
-    assert np.hypot(found.place["m"], found.direction["m"]) == pytest.approx(0.5, rel=0.4)
-    assert found.scale_m > 1.0
+    )
+    assert np.hypot(found["diffuse_m"], found["calibration_m"]) == pytest.approx(0.5, rel=0.4)
+    assert found["diffuse_scale_m"] > 1.0
 
 
 def test_simulated_cellular_noise_at_unit_snr() -> None:
@@ -180,9 +181,9 @@ def thin(world: Recording, take: Callable[..., Recording]) -> Recording:
 def test_delays_or_angles_alone_give_white_errors(
     columns: tuple[str, ...], world: Recording, strip: Callable[..., Recording]
 ) -> None:
-    found = fit(strip(world, *columns))
-    assert found.persisting.place == {} and 0.3 < found.detection_probability < 0.99
-    if columns == ("distance_m",):
-        assert found.floor == {"azimuth_deg": pytest.approx(np.degrees(STD_RAD), rel=0.5)} and found.range_m is None
-    else:
-        assert found.floor == {"m": pytest.approx(STD_M, rel=0.5)}
+    found = initial_options(strip(world, *columns))
+    measured, std = ("azimuth_deg", np.degrees(STD_RAD)) if columns == ("distance_m",) else ("m", STD_M)
+    (stripped,) = {"azimuth_deg", "m"} - {measured}
+    assert found[f"noise_floor_{measured}"] == pytest.approx(std, rel=0.5)
+    assert found[f"noise_floor_{stripped}"] == UNKNOWN[f"noise_floor_{stripped}"]
+    assert found[f"calibration_{measured}"] == 0.0 and 0.3 < found["detection_probability"] < 0.99

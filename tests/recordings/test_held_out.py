@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -96,6 +98,28 @@ def test_the_worth_of_the_best_is_reported_where_the_defaults_are_kept(monkeypat
     monkeypatch.setattr("cellslam.recordings.fitting.fit_sizes.scores", lambda *_: next(found))
     worth = learn(recording, None).worth
     assert worth is not None and not worth.sure and worth.mean == pytest.approx(0.25)
+
+
+def test_progress_ends_where_it_was_said_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a drive whose first pass fits, and of commands that the vehicle follows at once."""
+    recording = build(places(7))
+    commanded = replace(recording, odometry_model=replace(recording.odometry_model, time_constant_s=0.0))
+    found: Any = SimpleNamespace(deviations=dict, bias=np.zeros(6), scale=np.zeros(6))
+    fit = "cellslam.recordings.fitting.fit_sizes"
+    monkeypatch.setattr(f"{fit}._found", lambda *_: found)
+    monkeypatch.setattr(f"{fit}.stepped", lambda tried, *_: (tried, 0.0))
+    monkeypatch.setattr(f"{fit}.scores", lambda *_: np.zeros(8))
+    left: list[int] = []
+
+    @contextmanager
+    def progress(_: str, total: int) -> Iterator[Callable[[int], None]]:
+        done = list[int]()
+        yield done.append
+        left.append(total - sum(done))
+
+    for one in (recording, commanded):
+        learn(one, None, progress)
+    assert left == [0] * 5
 
 
 def test_what_was_learnt_is_reported_with_its_worth() -> None:

@@ -166,15 +166,13 @@ def draw_verdicts(some: SuiteRows, path: Path) -> str:
 
 def built_in() -> tuple[str, ...]:
     """Return the built-in estimators whose packages are installed."""
-    lacking = {entry.name for entry in registry.BUILT_IN if entry.needs and entry.name in registry.left_out()}
-    return tuple(entry.name for entry in registry.BUILT_IN if entry.name not in lacking)
+    return tuple(e.name for e in registry.BUILT_IN if not (e.needs and e.name in registry.left_out()))
 
 
 def _left_out() -> str:
     """Return one line about the built-ins that cannot be run here."""
-    chosen = built_in()
-    lacking = {n: why for n, why in registry.left_out().items() if n not in chosen}
-    return "".join(f"Without {name}: {why}.\n" for name, why in lacking.items())
+    lacking = registry.left_out().items()
+    return "".join(f"Without {name}: {why}.\n" for name, why in lacking if name not in built_in())
 
 
 def _trials(arguments: Namespace, one: Suite) -> int:

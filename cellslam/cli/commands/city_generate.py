@@ -66,6 +66,6 @@ def command(arguments: Namespace) -> None:
         write_scene(city, out / "city.xml")
     write_text(stub, HEAD + tomli_w.dumps(tables))
     print("\n".join(summarise(city).lines()))
-    pictures = [] if arguments.no_figures else write_pictures(city, out, plain=True, html=False)
+    pictures = [] if arguments.no_figures else write_pictures(city, out / "plan.png", out / "view.png", None)
     written = [out / "city.xml", stub, *pictures]
     note(arguments, f"wrote {', '.join(map(str, written))}; drive in it: cellslam run {stub}")

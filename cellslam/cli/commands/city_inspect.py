@@ -42,5 +42,6 @@ def command(arguments: Namespace) -> None:
     else:
         print("\n".join(summary.lines()), flush=True)
     if draws:
-        written = write_pictures(city, out, plain=not arguments.no_figures, html=arguments.html)
+        plan, view = (None, None) if arguments.no_figures else (out / "plan.png", out / "view.png")
+        written = write_pictures(city, plan, view, out / "city.html" if arguments.html else None)
         note(arguments, f"pictures: {', '.join(map(str, written))}")

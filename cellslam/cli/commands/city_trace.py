@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellslam.benchmarks.trials.output_files import check_file, writing
-from cellslam.cli.arguments import FLAG, REPEATED, add, whole
-from cellslam.cli.cities import add_mesh, city_of, parse_positions, read_positions, take_positions
+from cellslam.cli.arguments import FLAG, add, whole
+from cellslam.cli.cities import add_mesh, add_transmitters, city_of, read_positions, write_pictures
 from cellslam.cli.output import note
 from cellslam.progress_bars import bars
-from cellslam.sim.city import City
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays.exchange import Traced, write_deepmimo, write_sionna
 
@@ -25,10 +24,8 @@ EXAMPLES = ("city trace sionna-rt:munich --bs=42,-50,30 --rx rx.csv --out paths.
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    take_positions(parser)
     add_mesh(parser, "MESH")
-    bs_help = "transmitter in metres; may be repeated"
-    parser.add_argument("--bs", metavar="X,Y,Z", required=True, help=bs_help, **REPEATED)
+    add_transmitters(parser, required=True, help="transmitter in metres; may be repeated")
     parser.add_argument("--rx", metavar="RX.csv", required=True, help="receivers: columns x,y,z (vx,vy,vz: Doppler)")
     add(parser, "--out", metavar="PATHS", required=True, help="the table, .npz or folder to write")
     format_help = "csv: a row a path; sionna: .npz as of Sionna RT; deepmimo: a scenario's folder (default: csv)"
@@ -48,7 +45,7 @@ def command(arguments: Namespace) -> None:
 
     out = Path(arguments.out)
     _check_files(arguments, out)
-    transmitters = parse_positions(arguments.bs)
+    transmitters = np.array(arguments.bs)
     receivers, velocity = read_positions(Path(arguments.rx))
     with bars(arguments.quiet) as progress:
         with progress("reading the city", 1):
@@ -65,7 +62,7 @@ def command(arguments: Namespace) -> None:
             else:
                 write = write_sionna if arguments.format == "sionna" else write_deepmimo
                 write(out, rays, arguments.carrier)
-        _draw(arguments, city, rays)
+        write_pictures(city, arguments.plan, arguments.view, arguments.html, rays)
     inside = int(np.count_nonzero(enclosing(city, receivers) != OUTSIDE))
     counts = np.bincount(paths.order[paths.edge < 0], minlength=arguments.max_order + 1)
     kinds = ", ".join(f"{count} of order {order}" for order, count in enumerate(counts))
@@ -112,16 +109,3 @@ def write_csv(path: Path, paths: Paths, doppler_hz: Floats | None) -> None:
     if doppler_hz is not None:
         columns["doppler_hz"] = np.char.mod("%.6f", doppler_hz)
     pd.DataFrame(columns).to_csv(path, index=False, float_format="%.9f")
-
-
-def _draw(arguments: Namespace, city: City, rays: Traced) -> None:
-    if arguments.plan or arguments.view:
-        from cellslam.benchmarks.figures.city_pictures import draw_plan, draw_view
-
-        for path, draw in ((arguments.plan, draw_plan), (arguments.view, draw_view)):
-            if path:
-                draw(Path(path), city, rays)
-    if arguments.html:
-        from cellslam.benchmarks.report.city_page import write_city
-
-        write_city(Path(arguments.html), city, rays)

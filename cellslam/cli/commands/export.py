@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellslam.benchmarks.trials.output_files import check_file, write_tum
+from cellslam.benchmarks.trials.output_files import at_once, check_file, write_tum
 from cellslam.cli.arguments import REPEATED, add
-from cellslam.cli.output import at_once
 from cellslam.sim.errors import InputError
-from cellslam.sim.recording import Floats, Recording
+from cellslam.sim.recording import Recording
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.scores.trial_result import TrialResult
@@ -24,6 +22,11 @@ EXAMPLES = (
 )
 TABLES = ("csv", "mat")
 EXPORTS = (*TABLES, "tum", "square", "mcap", "geojson", "ply", "html", "calibration")
+OF_ESTIMATES = {  # formats that need an --estimator, and why
+    "html": "plays back an estimate: say which --estimator, as in --estimator fastslam",
+    "calibration": "is a CSV file of what an estimator found: say --estimator ekf-slam",
+    "square": "holds what an estimator claims: say which, as in --estimator ekf-slam",
+}
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -53,12 +56,8 @@ def command(arguments: Namespace) -> None:
             raise InputError(
                 f"--format {kind} writes the recording itself: leave --estimator out, or use tum, geojson, ply"
             )
-        if kind == "html" and not name:
-            raise InputError("--format html plays back an estimate: say which --estimator, as in --estimator fastslam")
-        if kind == "calibration" and not name:
-            raise InputError("--format calibration is a CSV file of what an estimator found: say --estimator ekf-slam")
-        if kind == "square" and not name:
-            raise InputError("--format square holds what an estimator claims: say which, as in --estimator ekf-slam")
+        if kind in OF_ESTIMATES and not name:
+            raise InputError(f"--format {kind} {OF_ESTIMATES[kind]}")
         if kind not in TABLES:
             check_file(out)
     recording, result = Recording.load(path, arguments.accept_changed), None
@@ -71,16 +70,19 @@ def command(arguments: Namespace) -> None:
         if kind in TABLES:
             from cellslam.recordings.exporting import tables
 
-            (tables.write_csv if kind == "csv" else tables.write_mat)(recording, out)
+            tables.write_tables(recording, out, kind)
         else:
-            check_result(kind, result)
-            at_once(out, partial(_write, kind, recording, result, place))
+            _check_result(kind, result)
+            with at_once(out) as file:
+                _write(kind, recording, result, place, file)
             if kind == "tum" and result is not None and not result.smoothed:
-                columns = (recording.time_s, result.poses, result.covariances)
-                at_once(out.with_name(f"{out.name}.cov"), partial(_write_covariances, columns))
+                from cellslam.recordings.exporting.covariances import write_side_file
+
+                with at_once(out.with_name(f"{out.name}.cov")) as file:
+                    write_side_file(file, recording.time_s, result.poses, result.covariances)
 
 
-def check_result(kind: str, result: TrialResult | None) -> None:
+def _check_result(kind: str, result: TrialResult | None) -> None:
     """Raise InputError where an estimate has not what a format is for."""
     if result is not None and kind in ("geojson", "ply") and result.vts is None:
         raise InputError(f"--estimator {result.estimator} makes no map: use one that does, as fastslam or ekf-slam")
@@ -111,12 +113,6 @@ def _write(kind: str, recording: Recording, result: TrialResult | None, place: P
         maps.ply(maps.shown(recording, result), file)
     elif place is not None:
         maps.geojson(maps.shown(recording, result), place, file)
-
-
-def _write_covariances(columns: tuple[Floats, Floats, Floats], file: Path) -> None:
-    from cellslam.recordings.exporting.covariances import write_side_file
-
-    write_side_file(file, *columns)
 
 
 def _degrees(text: str) -> tuple[float, float]:

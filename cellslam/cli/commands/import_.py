@@ -8,6 +8,7 @@ from pathlib import Path
 from cellslam.benchmarks.trials.output_files import check_file
 from cellslam.cli.arguments import add
 from cellslam.cli.output import note, size_of
+from cellslam.recordings.adapters.adapter_loading import ADAPTERS, import_adapter
 from cellslam.sim.errors import InputError
 
 EXAMPLES = ("import campaign --out drive.h5", "import --adapter victoria-park park --out park.h5")
@@ -16,16 +17,12 @@ EXAMPLES = ("import campaign --out drive.h5", "import --adapter victoria-park pa
 def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("folder", metavar="FOLDER", help="folder with recording.toml and the tables that it names")
     add(parser, "--out", metavar="FILE.h5", required=True, help="the recording to write")
-    adapter_help = (
-        "not recording.toml, but victoria-park, tampere-60ghz, mrclam, plaza, tui, uwb, rtt, or your own as "
-        "module:function"
-    )
+    adapter_help = f"not recording.toml, but {', '.join(ADAPTERS)}, or your own as module:function"
     parser.add_argument("--adapter", metavar="NAME", help=adapter_help)
     add(parser, "--set", help="an option of the adapter, as in robot=2; may be repeated")
 
 
 def command(arguments: Namespace) -> None:
-    from cellslam.recordings.adapters.adapter_loading import import_adapter
     from cellslam.recordings.importing.importing import import_folder
     from cellslam.recordings.importing.manifest import files_outside
     from cellslam.recordings.inspection.suspicions import suspicions

@@ -7,9 +7,9 @@ import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from cellslam.benchmarks.trials.output_files import check_file
+from cellslam.benchmarks.trials.output_files import at_once, check_file
 from cellslam.cli.arguments import FLAG, SET_HELP, add
-from cellslam.cli.output import at_once, note
+from cellslam.cli.output import note
 from cellslam.sim.recording import Recording
 
 EXAMPLES = ("inspect drive.h5",)
@@ -45,5 +45,6 @@ def command(arguments: Namespace) -> None:
     if not arguments.no_figure:
         from cellslam.recordings.inspection.inspection import plot
 
-        at_once(figure, lambda place: plot(recording).savefig(place, format="png"))
+        with at_once(figure) as place:
+            plot(recording).savefig(place, format="png")
         note(arguments, f"figure: {figure}")

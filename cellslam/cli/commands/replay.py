@@ -14,11 +14,13 @@ from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.cli.arguments import ESTIMATION, SET_HELP, add, limits
 from cellslam.cli.between_drives import check_map, with_calibration
 from cellslam.cli.output import note
-from cellslam.cli.recording_estimates import assumed_by, origin_by, warnings_by
+from cellslam.cli.recording_estimates import assumed_by, warnings_by
 from cellslam.cli.results import Results, left_out
 from cellslam.progress_bars import bars
 from cellslam.recordings.fitting.fit_sizes import in_words, toml
 from cellslam.scenarios.estimator_options import with_options
+from cellslam.scenarios.overrides import parse_all
+from cellslam.scenarios.recording_origin import Origin
 from cellslam.scenarios.scenario import MapConfig
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte.radio_config import NAMING
@@ -42,7 +44,7 @@ def command(arguments: Namespace) -> int:
     recording = Recording.load(path, arguments.accept_changed)
     if arguments.align and recording.truth is None and recording.reference is None:
         raise InputError(f"--align: {path} has neither truth nor reference to align to; leave the option out")
-    origin = origin_by(arguments, recording, path)
+    origin = Origin.of(recording, path, parse_all(arguments.sets))
     seed = origin.seed if arguments.seed is None else arguments.seed
     trials.check_counts(1, seed)
     note(arguments, left_out(arguments))

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -19,7 +18,7 @@ from cellslam.benchmarks.sweeps.tasks import Plan, asked_by, plan_known
 from cellslam.benchmarks.trials.trials import check_counts
 from cellslam.cli.arguments import DONE, FAILED, WORK, add, whole
 from cellslam.cli.commands.sweep import carry_plan, in_part
-from cellslam.cli.output import plain_table
+from cellslam.cli.output import console, plain_table
 from cellslam.scenarios.known_worlds import NAMES, known_world
 
 if TYPE_CHECKING:
@@ -31,7 +30,7 @@ EXAMPLES = ("reproduce paper --seed 1", "reproduce bp-slam-testbed --trials 5")
 CONFIDENCE = 0.95
 COMPARED = "position_rmse_m"  # key of a trial's row by which the rungs of a ladder are compared
 DRAWN = ("map", "error", "associations")
-_WIDTH = 120
+PIPE_WIDTH = 120
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -54,12 +53,12 @@ def command(arguments: Namespace) -> int:
     if status not in (DONE, FAILED) or in_part(arguments):
         return status
     tables, rungs = (_rows(out, world, made, entries) for entries in (world.entries, world.ladder))
-    console = Console(width=None if sys.stdout.isatty() else _WIDTH)
-    console.print(escape(f"{world.title}\n{world.source}"), highlight=False)
-    console.print(comparison(world, tables))
+    screen = console(PIPE_WIDTH)
+    screen.print(escape(f"{world.title}\n{world.source}"), highlight=False)
+    screen.print(comparison(world, tables))
     if rungs:
-        console.print(ladder(world, rungs))
-    console.print("\n".join(f"- {escape(text)}" for text in ("What differs:", *world.differences))[2:], highlight=False)
+        screen.print(ladder(world, rungs))
+    screen.print("\n".join(f"- {escape(text)}" for text in ("What differs:", *world.differences))[2:], highlight=False)
     if world.city is not None:
         _draw(world, arguments.seed, out / "figures")
     return status

@@ -7,9 +7,11 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from cellslam.benchmarks.trials.output_files import check_file
-from cellslam.cli.arguments import REPEATED, add, whole
-from cellslam.cli.cities import parse_positions, read_positions, take_positions
+from cellslam.cli.arguments import add, whole
+from cellslam.cli.cities import add_transmitters, read_positions
 from cellslam.cli.output import note
 from cellslam.progress_bars import bars
 from cellslam.sim.errors import InputError
@@ -21,12 +23,10 @@ EXAMPLES = ("simulate-from paths.npz tiny --out drive.h5",)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    take_positions(parser)
     parser.add_argument("paths", metavar="PATHS", help="Sionna RT's paths as .npz, or a DeepMIMO scenario's folder")
     add(parser, "scenario", "--set")
     add(parser, "--out", metavar="FILE.h5", required=True, help="the recording to write")
-    bs_help = ".npz without 'sources': a transmitter in metres; may be repeated"
-    parser.add_argument("--bs", metavar="X,Y,Z", help=bs_help, **REPEATED)
+    add_transmitters(parser, help=".npz without 'sources': a transmitter in metres; may be repeated")
     parser.add_argument("--rx", metavar="RX.csv", help=".npz without 'targets': receivers, columns x,y,z")
     parser.add_argument("--polarisation", choices=("V", "H", "VH"), default="V", help=".npz: antennas (default: V)")
     tolerance_help = "how far delays and angles may miss geometry (default: 0.01,0.5; measured ones need more)"
@@ -63,7 +63,7 @@ def _read(place: Path, arguments: Namespace) -> Traced:
         return read_deepmimo(place, arguments.rx_set, tolerance)
     if not place.is_file():
         raise InputError(f"{place}: no such file or folder; give Sionna RT's paths as .npz, or a DeepMIMO folder")
-    transmitters = parse_positions(arguments.bs) if arguments.bs else None
+    transmitters = np.array(arguments.bs) if arguments.bs else None
     receivers = read_positions(Path(arguments.rx))[0] if arguments.rx else None
     return read_sionna(place, arguments.polarisation, transmitters, receivers, tolerance)
 

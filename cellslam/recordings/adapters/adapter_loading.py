@@ -14,15 +14,7 @@ from cellslam.sim.own_code import seek_here
 from cellslam.sim.recording import Recording
 from cellslam.slam.registry import own_traceback
 
-ADAPTERS = {
-    "victoria-park": "cellslam.recordings.adapters.victoria_park:load",
-    "tampere-60ghz": "cellslam.recordings.adapters.tampere:load",
-    "mrclam": "cellslam.recordings.adapters.mrclam:load",
-    "plaza": "cellslam.recordings.adapters.plaza:load",
-    "tui": "cellslam.recordings.adapters.tui:load",
-    "uwb": "cellslam.recordings.adapters.uwb:load",
-    "rtt": "cellslam.recordings.adapters.rtt:load",
-}
+ADAPTERS = ("victoria-park", "tampere-60ghz", "mrclam", "plaza", "tui", "uwb", "rtt")  # each a module beside this one
 
 
 def import_adapter(folder: Path, name: str, options: Mapping[str, Any] | None = None) -> Recording:
@@ -58,8 +50,8 @@ def _known_options(name: str, function: Callable[..., Any], options: Mapping[str
 
 
 def _adapter(name: str) -> Callable[..., Any]:
-    target = ADAPTERS.get(name, name)
-    module_name, _, function_name = target.partition(":")
+    built_in = f"cellslam.recordings.adapters.{name.replace('-', '_')}:load"
+    module_name, _, function_name = (built_in if name in ADAPTERS else name).partition(":")
     if not (module_name and function_name):
         near = nearest_name(name, ADAPTERS)
         raise InputError(f"unknown adapter '{name}'{near} (known: {', '.join(ADAPTERS)}; your own as module:function)")

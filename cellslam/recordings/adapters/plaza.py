@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellslam.recordings.adapters.shared import increasing, is_known, matrix
+from cellslam.recordings.adapters.shared import increasing, is_known, matrix, only
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.matlab import variables
 from cellslam.recordings.importing.odometry import OdometryTable
@@ -93,12 +93,7 @@ def heading(path: Floats) -> Floats:
 def _tables(folder: Path) -> dict[str, Floats]:
     """Return DR, TD and, where they are there, GT and TL."""
     if folder.is_dir():
-        found = sorted([*folder.glob("*.mat"), *folder.glob("*DR.txt")])
-        if len(found) != 1:
-            what = "more than one drive" if found else "neither a .mat file nor one that ends in DR.txt"
-            names = f" ({', '.join(path.name for path in found)}): give the file of one" if found else ""
-            raise InputError(f"{folder}: holds {what}{names}")
-        (folder,) = found
+        folder = only(folder, "*.mat", "*DR.txt")
     if folder.suffix == ".mat":
         read = variables(folder, NEEDED)
         tables = {name: np.atleast_2d(np.asarray(read[name], np.float64)) for name in COLUMNS if name in read}

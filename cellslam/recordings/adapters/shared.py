@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cellslam.recordings.importing.manifest import FileTable
 from cellslam.recordings.importing.odometry import OdometryTable
-from cellslam.recordings.importing.tables import Head, TableFile
+from cellslam.recordings.importing.tables import TableFile
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import mean_velocity
 from cellslam.sim.recording import COMPONENTS, Floats
@@ -42,6 +41,17 @@ def matrix(path: Path, columns: tuple[str, ...]) -> Floats:
     return rows
 
 
+def only(folder: Path, *patterns: str) -> Path:
+    """Return the one file of a folder that one of the patterns fits. Raises InputError where there is none, or more."""
+    found, kind = sorted(path for pattern in patterns for path in folder.glob(pattern)), " or ".join(patterns)
+    if not found:
+        raise InputError(f"{folder}: holds no file {kind}; download one drive into it")
+    if len(found) > 1:
+        names = ", ".join(path.name for path in found)
+        raise InputError(f"{folder}: holds more than one file {kind} ({names}): leave that of one drive in it")
+    return found[0]
+
+
 def is_known(name: str, value: str) -> bool:
     """Return whether an option that is "known" or "unknown" is known. Raises InputError for another value."""
     if value not in ("unknown", "known"):
@@ -61,14 +71,13 @@ def named(path: Path, columns: Mapping[str, Names], optional: tuple[str, ...] = 
     `columns`: under which names of the file each may stand, with units. Raises InputError where one that is not
     `optional` is missing.
     """
-    table, head = TableFile(path.parent, FileTable(file=path.name, columns={})), Head.of(path, "")
-    found: dict[str, Any] = {}
+    table, found = TableFile(path), dict[str, Any]()
     for own, names in columns.items():
-        name = next((each for each in names if each in head.names), None)
+        name = next((each for each in names if each in table.names), None)
         if name is not None:
             found[own] = np.array(table.labels(name)) if own == "id" else table.numbers(name) * names[name]
         elif own not in optional:
-            has = ", ".join(head.names)
+            has = ", ".join(table.names)
             raise InputError(f"{path}: has no column {' or '.join(names)} (it has: {has}); rename the one that it is")
     return found
 

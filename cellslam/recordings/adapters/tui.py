@@ -41,11 +41,9 @@ def load(folder: Path) -> Campaign:
     reference = None if sheet.location is None else _reference(folder, sheet, sheet.location, about)
     motion = None
     if sheet.odometry == "simulated" and reference is not None and reference.yaw_rad is not None:
-        yaw = np.unwrap(np.asarray(reference.yaw_rad, np.float64))
-        place = np.column_stack(
-            [_at(snapshots, reference, column) for column in np.asarray(reference.position_m).T[:2]]
-        )
-        motion = simulated_odometry(snapshots, place, _at(snapshots, reference, yaw), NOISE)
+        moving = (*np.asarray(reference.position_m).T[:2], np.unwrap(np.asarray(reference.yaw_rad, np.float64)))
+        x, y, yaw = (np.interp(snapshots, np.asarray(reference.time_s), column) for column in moving)
+        motion = simulated_odometry(snapshots, np.column_stack([x, y]), yaw, NOISE)
     about["description"] = folder.name + ("; odometry simulated from the location" if motion is not None else "")
     surveys: dict[str, Any] = {}
     if sheet.transmitter is not None:
@@ -126,7 +124,3 @@ def _places(file: Container, crs: str, about: dict[str, Any]) -> tuple[Floats, F
     about.setdefault("projection", {"crs": used, "origin_m": plane[0].tolist()})
     plane = plane - about["projection"]["origin_m"]
     return np.column_stack([plane, file.values(f"{group}/Height")]), convergence
-
-
-def _at(times: Floats, reference: ReferenceTable, column: Floats) -> Floats:
-    return np.asarray(np.interp(times, np.asarray(reference.time_s), column), np.float64)

@@ -21,20 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.recordings.adapters.shared import (
-    anchors,
-    increasing,
-    is_known,
-    named,
-    pose_odometry,
-    poses_of,
-    surveyed,
-    trajectory,
-)
+from cellslam.recordings.adapters import shared
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
-from cellslam.recordings.importing.manifest import FileTable
 from cellslam.recordings.importing.odometry import OdometryTable
-from cellslam.recordings.importing.tables import Head, TableFile
+from cellslam.recordings.importing.tables import TableFile
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
 
@@ -55,46 +45,46 @@ def load(folder: Path, *, sites: str = "known") -> Campaign:
     Raises InputError."""
     tables = (folder / "ranges.csv").is_file()
     campaign = _of_tables(folder) if tables else _of_streams(folder)
-    if not is_known("sites", sites):
+    if not shared.is_known("sites", sites):
         return campaign
-    places = anchors(folder, ANCHORS) if tables else _anchors_of_survey(folder)
-    return replace(campaign, site_surveys=surveyed(campaign.link_sites, places))
+    places = shared.anchors(folder, ANCHORS) if tables else _anchors_of_survey(folder)
+    return replace(campaign, site_surveys=shared.surveyed(campaign.link_sites, places))
 
 
 def _of_tables(folder: Path) -> Campaign:
     """Return the campaign of CSV tables and TUM trajectories."""
-    columns = named(folder / "ranges.csv", RANGES, optional=("distance_std_m",))
+    columns = shared.named(folder / "ranges.csv", RANGES, optional=("distance_std_m",))
     truth, odometry = folder / "groundtruth.tum", folder / "odometry.tum"
     return _campaign(
         folder, columns.pop("time_s"), columns.pop("id"), columns,
-        pose_odometry(*trajectory(odometry)) if odometry.is_file() else None,
-        trajectory(truth) if truth.is_file() else None,
+        shared.pose_odometry(*shared.trajectory(odometry)) if odometry.is_file() else None,
+        shared.trajectory(truth) if truth.is_file() else None,
     )  # fmt: skip
 
 
 def _of_streams(folder: Path) -> Campaign:
     """Return the campaign of a CSV file of event streams."""
-    path = _only(folder, "*.csv")
-    names = Head.of(path, "").names
+    path = shared.only(folder, "*.csv")
+    stream, drift = TableFile(path), None
+    names = stream.names
     if "t_twr" not in names:
         what = "time differences of arrival (t_tdoa), which are no ranges" if "t_tdoa" in names else "no column t_twr"
         raise InputError(f"{path}: holds {what}; give a recording of two-way ranging (t_twr, id, twr_meas)")
-    stream, drift = TableFile(folder, FileTable(file=path.name, columns={})), None
     times, number, distance = _group(stream, ("t_twr", "id", "twr_meas")).T
     if "t_gyro" in names:
-        gyro = increasing(_group(stream, ("t_gyro", "gyro_z")))
+        gyro = shared.increasing(_group(stream, ("t_gyro", "gyro_z")))
         drift = OdometryTable(gyro[:, 0], {"u_psi": np.radians(gyro[:, 1])})
     truth = None
     if "t_pose" in names:
-        rows = increasing(_group(stream, POSE))
-        truth = rows[:, 0], poses_of(path, rows[:, 1:4], rows[:, 4:])
+        rows = shared.increasing(_group(stream, POSE))
+        truth = rows[:, 0], shared.poses_of(path, rows[:, 1:4], rows[:, 4:])
     ident = np.array([str(int(each)) for each in number])
     return _campaign(folder, times, ident, {"distance_m": distance}, drift, truth)
 
 
 def _anchors_of_survey(folder: Path) -> dict[str, Floats]:
     """Return the places (3,) in m of anchors by their number."""
-    path = _only(folder, "*.npz")
+    path = shared.only(folder, "*.npz")
     with np.load(path) as file:
         if "an_pos" not in file:
             raise InputError(f"{path}: has no array 'an_pos' (it has: {', '.join(file)}); give the survey's own file")
@@ -128,11 +118,3 @@ def _group(stream: TableFile, columns: tuple[str, ...]) -> Floats:
     if not len(kept):
         raise InputError(f"{stream.path}: {', '.join(columns)} have no row")
     return kept
-
-
-def _only(folder: Path, pattern: str) -> Path:
-    found = sorted(folder.glob(pattern))
-    if len(found) != 1:
-        names = ", ".join(path.name for path in found) or "none"
-        raise InputError(f"{folder}: holds neither ranges.csv nor one file {pattern} ({names}): leave one drive in it")
-    return found[0]

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cellslam.benchmarks.scores.array_calibration import field_map
-from cellslam.benchmarks.trials.output_files import writing
+from cellslam.benchmarks.trials.output_files import at_once
 from cellslam.recordings.importing.campaign import DEVIATIONS, KINDS_OF_NOISE, QUANTITIES
-from cellslam.recordings.importing.columns import ATTITUDE, POSITION, TABLES
+from cellslam.recordings.importing.importing import TABLES
 from cellslam.recordings.importing.manifest import NAME
+from cellslam.sim.described import POSE_COLUMNS, POSITION_COLUMNS
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import CLOCK_PRIOR, COMPONENTS, Recording
 from cellslam.slam.model.calibration import COMPONENTS as CALIBRATED
@@ -26,57 +24,49 @@ UNITS = {name: next(iter(units)) for columns in TABLES.values() for name, units 
 Tables = dict[str, dict[str, Any]]
 
 
-def write_csv(recording: Recording, folder: Path) -> None:
-    """Write one CSV file a table and `recording.toml` into a new folder, at once. Raises InputError."""
-    import pandas as pd
+def write_tables(recording: Recording, folder: Path, kind: str) -> None:
+    """Write tables and `recording.toml` into a new folder, at once. Raises InputError.
 
-    made = tables(recording)
-    with new_folder(folder) as place:
-        for name, columns in {**made, **_truth_tables(recording)}.items():
-            pd.DataFrame(columns).to_csv(place / f"{name}.csv", index=False)
-        _write_manifest(recording, made, place, {name: {"file": f"{name}.csv"} for name in made})
-
-
-def write_mat(recording: Recording, folder: Path) -> None:
-    """Write `recording.mat` (version 5: one struct a table, columns) and `recording.toml` into a new folder, at
-    once.
+    `kind`: csv, one file a table, or mat, `recording.mat` (version 5: one struct a table, columns).
     """
+    import pandas as pd
     from scipy.io import savemat
 
-    made = tables(recording)
-    with new_folder(folder) as place:
-        savemat(place / "recording.mat", {**made, **_truth_tables(recording)}, oned_as="column", long_field_names=True)
-        _write_manifest(recording, made, place, {n: {"file": "recording.mat", "variable": n} for n in made})
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"--out {folder}: exists already; give the name of a new folder")
+    if not folder.absolute().parent.is_dir():
+        raise InputError(f"--out {folder}: there is no folder {folder.parent}; create it first")
+    imported = tables(recording)
+    every = imported | _truth_tables(recording)
+    with at_once(folder) as place:
+        place.mkdir()
+        if kind == "csv":
+            for name, columns in every.items():
+                pd.DataFrame(columns).to_csv(place / f"{name}.csv", index=False)
+            sources = {name: {"file": f"{name}.csv"} for name in imported}
+        else:
+            savemat(place / "recording.mat", every, oned_as="column", long_field_names=True)
+            sources = {name: {"file": "recording.mat", "variable": name} for name in imported}
+        _write_manifest(recording, imported, place, sources)
 
 
 def tables(recording: Recording) -> Tables:
     """Return the tables that are imported again, by name and column; what was not measured has no column."""
     r, m = recording, recording.measurements
-    paths: dict[str, Any] = {"time_s": r.time_s[m.snapshot], "link": m.link}
-    for name in (*QUANTITIES, *DEVIATIONS):
-        column = getattr(m, name)
-        if column is not None and not (len(m) and np.isnan(column).all()):
-            paths[name] = column
-    out: Tables = {"measurements": paths, "snapshots": {"time_s": r.time_s}}
-    given = {name: column for name, column in zip(COMPONENTS, r.odometry.T, strict=True) if not np.isnan(column).all()}
-    if given:
-        out["odometry"] = {"time_s": r.time_s, **given}
-    known = _known_trajectory(r)
-    if known is not None:
-        out["reference"] = known
-    return out
-
-
-def _known_trajectory(r: Recording) -> dict[str, Any] | None:
+    paths = {name: getattr(m, name) for name in (*QUANTITIES, *DEVIATIONS)}
+    out: Tables = {
+        "measurements": {"time_s": r.time_s[m.snapshot], "link": m.link, **_known(paths)},
+        "snapshots": {"time_s": r.time_s},
+    }
+    if odometry := _known(dict(zip(COMPONENTS, r.odometry.T, strict=True))):
+        out["odometry"] = {"time_s": r.time_s, **odometry}
     if r.truth is not None:
-        x, y, z, yaw = r.truth.poses[:, :4].T
-        return {"time_s": r.time_s, "x_m": x, "y_m": y, "z_m": z, "yaw_rad": yaw}
-    if r.reference is None:
-        return None
-    x, y, z = r.reference.position_m.T
-    columns = {"x_m": x, "y_m": y, "z_m": z, "yaw_rad": r.reference.yaw_rad, "std_m": r.reference.position_std_m}
-    known = {name: column for name, column in columns.items() if name in ("x_m", "y_m") or not np.isnan(column).all()}
-    return {"time_s": r.reference.time_s, **known}
+        out["reference"] = {"time_s": r.time_s, **dict(zip(POSE_COLUMNS[:4], r.truth.poses.T, strict=False))}
+    elif r.reference is not None:
+        x, y, z = r.reference.position_m.T
+        more = {"z_m": z, "yaw_rad": r.reference.yaw_rad, "std_m": r.reference.position_std_m}
+        out["reference"] = {"time_s": r.reference.time_s, "x_m": x, "y_m": y, **_known(more)}
+    return out
 
 
 def _truth_tables(r: Recording) -> Tables:
@@ -84,24 +74,26 @@ def _truth_tables(r: Recording) -> Tables:
     if r.truth is None:
         return {}
     t = r.truth
-    out: Tables = {
-        "truth_poses": {"time_s": r.time_s, **dict(zip((*POSITION, *ATTITUDE), t.poses.T, strict=True))},
+    sites, vts = (dict(zip(POSITION_COLUMNS, p.T, strict=True)) for p in (t.site_positions_m, t.vts.position_m))
+    sites |= {"clock_offset_m": t.clock_offsets_m} | _known({"clock_drift_m_s": t.clock_drift_m_s})
+    return {
+        "truth_poses": {"time_s": r.time_s, **dict(zip(POSE_COLUMNS, t.poses.T, strict=True))},
         "truth_measurements": {"vt": t.measurement_vt},
-        "truth_sites": {**dict(zip(POSITION, t.site_positions_m.T, strict=True)), "clock_offset_m": t.clock_offsets_m},
+        "truth_sites": sites,
+        "truth_vts": {"site": t.vts.site, "order": t.vts.order, **vts, **_known({"scatterer": t.vts.scatterer})},
     }
-    if t.clock_drift_m_s is not None:
-        out["truth_sites"]["clock_drift_m_s"] = t.clock_drift_m_s
-    position = dict(zip(POSITION, t.vts.position_m.T, strict=True))
-    out["truth_vts"] = {"site": t.vts.site, "order": t.vts.order, **position}
-    if t.vts.scatterer is not None:
-        out["truth_vts"]["scatterer"] = t.vts.scatterer
-    return out
+
+
+def _known(columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the columns that there are, and that were measured at all."""
+    there = {name: column for name, column in columns.items() if column is not None}
+    return {name: column for name, column in there.items() if not (len(column) and np.isnan(column).all())}
 
 
 def _write_manifest(recording: Recording, made: Tables, place: Path, sources: Mapping[str, Mapping[str, str]]) -> None:
     import tomli_w
 
-    r = recording
+    r, sites = recording, recording.sites
 
     def table(name: str, **more: Any) -> dict[str, Any]:
         columns = {c: {"column": c, "unit": UNITS[c]} for c in made[name] if c in UNITS}
@@ -122,28 +114,24 @@ def _write_manifest(recording: Recording, made: Tables, place: Path, sources: Ma
             "std_deg": np.degrees(r.start_std[3:]).tolist(),
         },
         "links": {
-            str(i): {
-                "site": r.sites.name[r.links.site[i]],
-                "cell_id": int(r.links.cell_id[i]),
-                "port": int(r.links.port[i]),
-            }
-            for i in range(len(r.links))
+            str(i): {"site": sites.name[site], "cell_id": int(r.links.cell_id[i]), "port": int(r.links.port[i])}
+            for i, site in enumerate(r.links.site)
         },
         "sites": {
-            name: {c: float(getattr(r.sites, c)[i]) for c in CLOCK_PRIOR if getattr(r.sites, c) is not None}
-            for i, name in enumerate(r.sites.name)
+            name: {c: float(getattr(sites, c)[i]) for c in CLOCK_PRIOR if getattr(sites, c) is not None}
+            for i, name in enumerate(sites.name)
         },
-        "noise": {},
+        "noise": {
+            name: {kind: float(getattr(r.odometry_model, kind)[i]) for kind in KINDS_OF_NOISE}
+            for i, name in enumerate(COMPONENTS)
+        },
     }
-    for i, name in enumerate(r.sites.name):
-        if np.isfinite(r.sites.surveyed_m[i]).all():
-            survey = {"position_m": r.sites.surveyed_m[i].tolist(), "position_std_m": r.sites.survey_std_m[i].tolist()}
-            text["sites"][name] |= survey
+    for name, position_m, std_m in zip(sites.name, sites.surveyed_m, sites.survey_std_m, strict=True):
+        if np.isfinite(position_m).all():
+            text["sites"][name] |= {"position_m": position_m.tolist(), "position_std_m": std_m.tolist()}
     for i, azimuth in enumerate([] if r.links.azimuth_rad is None else np.degrees(r.links.azimuth_rad).tolist()):
         if np.isfinite(azimuth):
             text["links"][str(i)]["azimuth_deg"] = azimuth
-    for i, name in enumerate(COMPONENTS):
-        text["noise"][name] = {kind: float(getattr(r.odometry_model, kind)[i]) for kind in KINDS_OF_NOISE}
     if "odometry" in made:
         text["odometry"] = table("odometry", hold="before")
         if r.odometry_model.time_constant_s is not None:
@@ -151,25 +139,6 @@ def _write_manifest(recording: Recording, made: Tables, place: Path, sources: Ma
     if "reference" in made:
         text["reference"] = table("reference")
     (place / NAME).write_text(tomli_w.dumps(text), "utf-8")
-
-
-@contextmanager
-def new_folder(folder: Path) -> Iterator[Path]:
-    """Give a temporary folder that becomes `folder` when all went well, and disappears when not."""
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"--out {folder}: exists already; give the name of a new folder")
-    if not folder.absolute().parent.is_dir():
-        raise InputError(f"--out {folder}: there is no folder {folder.parent}; create it first")
-    place = folder.absolute().with_name(f".{folder.name}.{os.getpid()}.tmp")
-    try:
-        with writing(folder):
-            place.mkdir()
-            yield place
-            if folder.exists():
-                folder.rmdir()
-            place.replace(folder)
-    finally:
-        shutil.rmtree(place, ignore_errors=True)
 
 
 def write_calibration(calibration: Calibration, provenance: Mapping[str, Any], file: Path) -> None:

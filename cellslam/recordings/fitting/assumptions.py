@@ -15,7 +15,7 @@ from cellslam.scenarios.estimator_options import Request
 from cellslam.scenarios.keys import validate
 from cellslam.scenarios.overrides import apply, split
 from cellslam.scenarios.recording_origin import Origin
-from cellslam.sim.errors import InputError, nearest_name
+from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.lte.radio_config import NAMING, TECHNOLOGY
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, OdometryModel, Recording
@@ -54,17 +54,24 @@ def assumed(
     _refuse_code(origin, names, given)
     overrides = {key: value for key, value in given.items() if not key.startswith("noise.")}
     sheet = changed_sheet(recording.odometry_model, {k: v for k, v in given.items() if k.startswith("noise.")})
-    requests = _requests(origin.options, names, overrides, limit_s)
+
+    def requested(shared: Mapping[str, Any], map_builders: Sequence[str]) -> tuple[Request, ...]:
+        """Return the requests, those of `map_builders` with options that these share."""
+        merged = {name: {**origin.options.get(name, {}), **shared} for name in map_builders}
+        tables = apply({"estimator": {**origin.options, **merged}}, overrides)["estimator"]
+        return external_options.requests(tables, names, overrides, limit_s)
+
+    requests = requested({}, ())
+    mapping = [r.name for r in requests if isinstance(r.options, MeasurementOptions)]
     if origin.measured:
-        requests = _with(unmodelled(recording), origin, requests, overrides, limit_s)
-    mapping = any(isinstance(r.options, MeasurementOptions) for r in requests)
+        requests = requested(unmodelled(recording), mapping)
     if not (origin.measured and mapping if fit is None else fit):
         return Assumptions(requests, sheet)
     try:
         learnt = learn(replace(recording, odometry_model=sheet), origin.assumed(), progress)
     except InputError as error:
         return Assumptions(requests, sheet, None, str(error))
-    return Assumptions(_with(learnt.options, origin, requests, overrides, limit_s), learnt.odometry_model, learnt)
+    return Assumptions(requested(learnt.options, mapping), learnt.odometry_model, learnt)
 
 
 def _refuse_code(origin: Origin, names: Sequence[str], given: Mapping[str, Any]) -> None:
@@ -74,26 +81,6 @@ def _refuse_code(origin: Origin, names: Sequence[str], given: Mapping[str, Any])
         needed = key == TECHNOLOGY or (key not in NAMING and split(key)[1] in loaded)
         if needed and key not in given:
             raise InputError(origin.unasked(key))
-
-
-def _with(
-    options: Mapping[str, Any],
-    origin: Origin,
-    requests: Sequence[Request],
-    overrides: Mapping[str, Any],
-    limit_s: float,
-) -> tuple[Request, ...]:
-    """Return the requests with options that all map builders share."""
-    mapping = [r.name for r in requests if isinstance(r.options, MeasurementOptions)]
-    merged = {name: {**origin.options.get(name, {}), **options} for name in mapping}
-    return _requests({**origin.options, **merged}, [r.target for r in requests], overrides, limit_s)
-
-
-def _requests(
-    tables: Mapping[str, Any], names: Sequence[str], overrides: Mapping[str, Any], limit_s: float
-) -> tuple[Request, ...]:
-    full = apply({"estimator": tables}, overrides)["estimator"]
-    return external_options.requests(full, names, overrides, limit_s)
 
 
 def changed_sheet(sheet: OdometryModel, changes: Mapping[str, Any]) -> OdometryModel:
@@ -111,9 +98,7 @@ def changed_sheet(sheet: OdometryModel, changes: Mapping[str, Any]) -> OdometryM
             sheet = replace(sheet, time_constant_s=commands.time_constant_s)
             continue
         if component not in COMPONENTS:
-            known = (*COMPONENTS, COMMANDS)
-            near = nearest_name(component, known)
-            raise InputError(f"{key}: unknown component '{component}'{near} (known: {', '.join(known)})")
+            raise unknown_name(f"component in {key}:", component, (*COMPONENTS, COMMANDS))
         checked = validate(Noise, {kind: value}, f"noise.{component}.")
         columns[kind][COMPONENTS.index(component)] = getattr(checked, kind)
     return replace(sheet, **columns)

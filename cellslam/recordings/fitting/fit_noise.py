@@ -8,16 +8,14 @@ snapshot and volume.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+import pandas as pd
 
-from cellslam.recordings.fitting.fit_persisting import NAMES, Persisting, in_unit, persisting, reach
+from cellslam.recordings.fitting.fit_persisting import NAMES, in_unit, persisting, reach
 from cellslam.recordings.fitting.fit_tracks import QUANTITIES, Tracks, polled_share, robust_std, tracks_of
 from cellslam.recordings.inspection.corrections import dead_reckoned
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Recording
 from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS, MeasurementOptions
 from cellslam.slam.measurements.readings import CLUTTER_WIDTH
@@ -34,23 +32,6 @@ UNKNOWN = {
 LEAST_EXTENT_M = 10.0
 LEAST_PERSISTING = 0.3  # of white noise
 PLANE_ELEVATION_DEG = 0.5  # what estimators assume of the zero elevations of one plane
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """What was found; deviations in m and deg, by the suffix of the options' names.
-
-    `floor`, `unit` (at 0 dB): white; `range_m`: of a typical path, None where clocks are unknown.
-    """
-
-    floor: dict[str, float]
-    unit: dict[str, float]
-    persisting: Persisting
-    range_m: float | None
-    detection_probability: float
-    clutter_density: float
-    birth_ratio: float
-    visible_s: float
 
 
 def unmodelled(recording: Recording) -> dict[str, float]:
@@ -74,63 +55,52 @@ def extent_of(recording: Recording) -> float:
     return min(max(diagonal, LEAST_EXTENT_M), usual)
 
 
-def initial_options(recording: Recording, progress: Progress = silent) -> dict[str, float]:
-    """Return the front-end options (m, deg, s) that the tracks of a recording give, by name.
+def initial_options(recording: Recording) -> dict[str, float]:
+    """Return the front-end options (m, deg, s) that the tracks of a recording give, by name; what these do not tell is
+    as of a front end that nobody modelled.
 
     Raises InputError where there are too few tracks to tell.
     """
-    fitted = fit(recording, progress)
-    shared = ("detection_probability", "clutter_density", "visible_s", "birth_ratio")
-    out = {**UNKNOWN, "typical_range_m": extent_of(recording), **{name: getattr(fitted, name) for name in shared}}
-    for key in NAMES.values():
-        floor = PLANE_ELEVATION_DEG if recording.plane and key == "elevation_deg" else fitted.floor.get(key)
-        if floor is not None:
-            out[f"noise_floor_{key}"] = max(floor, LEAST_WHITE)
-            out[f"noise_unit_snr_{key}"] = fitted.unit.get(key, 0.0)
-            white = np.hypot(floor, fitted.unit.get(key, 0.0))
-            out[f"diffuse_{key}"] = max(fitted.persisting.place.get(key, 0.0), LEAST_PERSISTING * white)
-            out[f"calibration_{key}"] = fitted.persisting.direction.get(key, 0.0)
-    if fitted.persisting.scale_m:
-        out["diffuse_scale_m"] = fitted.persisting.scale_m
-    if fitted.range_m is not None:
-        out["typical_range_m"] = fitted.range_m
-    return out
-
-
-def fit(recording: Recording, progress: Progress = silent) -> Fitted:
-    """Return what a recording shows of its noise. Raises InputError where it has too little to tell."""
-    if np.isnan(recording.measurements.distance_m).all() and np.isnan(recording.measurements.azimuth_rad).all():
+    m = recording.measurements
+    if np.isnan(m.distance_m).all() and np.isnan(m.azimuth_rad).all():
         raise InputError("fit-noise needs distances or azimuths, and the recording has neither")
-    with progress("joining measurements to tracks", 1) as advance:
-        tracks = tracks_of(recording)
-        advance(1)
-    count = len(np.unique(tracks.track[tracks.track >= 0]))
+    tracks = tracks_of(recording)
     tracked = int((tracks.track >= 0).sum())
+    count = len(np.unique(tracks.track[tracks.track >= 0]))
     if tracked < LEAST_TRACKED:
         raise InputError(
             f"fit-noise found {count} tracks of three detections or more, with {tracked} in all, and needs "
             f"{LEAST_TRACKED}: is the odometry right?"
         )
-    floor, unit, white = {}, {}, {}
+    detection_probability, visible_s = _detection(recording, tracks)
+    range_m, range_known = reach(recording, tracks)
+    out = UNKNOWN | {
+        "typical_range_m": range_m if range_known else extent_of(recording),
+        "detection_probability": detection_probability,
+        "clutter_density": polled_share(recording) * _clutter(recording, tracks),
+        "visible_s": visible_s,
+        "birth_ratio": float(np.clip(count / (count + (tracks.track < 0).sum()), *BIRTH_RATIO)),
+    }
+    white, against_snr = dict[str, float](), dict[str, tuple[float, float]]()
     middle, difference = _triples(tracks)
     for i, name in enumerate(QUANTITIES):
         known = ~np.isnan(difference[:, i])
         if known.sum() >= LEAST_TRIPLES:
-            key, values, snr_db = NAMES[name], difference[known, i], recording.measurements.snr_db[middle[known]]
-            floor[key], unit[key] = (in_unit(name, size) for size in _against_snr(values, snr_db))
+            key, values = NAMES[name], difference[known, i]
+            floor, unit = _against_snr(values, m.snr_db[middle[known]])
+            against_snr[key] = in_unit(name, floor), in_unit(name, unit)
             white[key] = in_unit(name, _deviation(values))
-    range_m, range_known = reach(recording, tracks)
-    detection, visible_s = _detection(recording, tracks)
-    return Fitted(
-        floor=floor,
-        unit=unit,
-        persisting=persisting(recording, tracks, white),
-        range_m=range_m if range_known else None,
-        detection_probability=detection,
-        clutter_density=polled_share(recording) * _clutter(recording, tracks),
-        birth_ratio=float(np.clip(count / (count + (tracks.track < 0).sum()), *BIRTH_RATIO)),
-        visible_s=visible_s,
-    )
+    if recording.plane:
+        against_snr["elevation_deg"] = PLANE_ELEVATION_DEG, 0.0
+    place, direction, scale_m = persisting(recording, tracks, white)
+    for key, (floor, unit) in against_snr.items():
+        out |= {
+            f"noise_floor_{key}": max(floor, LEAST_WHITE),
+            f"noise_unit_snr_{key}": unit,
+            f"diffuse_{key}": max(place.get(key, 0.0), LEAST_PERSISTING * float(np.hypot(floor, unit))),
+            f"calibration_{key}": direction.get(key, 0.0),
+        }
+    return out | ({"diffuse_scale_m": scale_m} if scale_m else {})
 
 
 def _triples(tracks: Tracks) -> tuple[Ints, Floats]:
@@ -140,7 +110,7 @@ def _triples(tracks: Tracks) -> tuple[Ints, Floats]:
     steps = tracks.steps
     tracked = tracks.track[steps.first] >= 0
     single = np.flatnonzero(tracked & (steps.lag == np.bincount(steps.lag[tracked], minlength=2).argmax()))
-    at = np.full(tracks.rows, -1, np.int64)
+    at = np.full(len(tracks.track), -1, np.int64)
     at[steps.first[single]] = single
     following = at[steps.second[single]]
     pairs = following >= 0
@@ -173,12 +143,8 @@ def _against_snr(values: Floats, snr_db: Floats) -> tuple[float, float]:
 def _detection(r: Recording, tracks: Tracks) -> tuple[float, float]:
     """Return the share of snapshots between a track's first and last detection that have it, and its mean life in s."""
     rows = np.flatnonzero(tracks.track >= 0)
-    _, label = np.unique(tracks.track[rows], return_inverse=True)
-    snapshot = r.measurements.snapshot[rows]
-    count = np.bincount(label)
-    first, last = np.full(len(count), np.iinfo(np.int64).max), np.zeros(len(count), np.int64)
-    np.minimum.at(first, label, snapshot)
-    np.maximum.at(last, label, snapshot)
+    snapshots = pd.Series(r.measurements.snapshot[rows]).groupby(tracks.track[rows])
+    count, first, last = snapshots.agg(["count", "min", "max"]).to_numpy().T
     inner = last - first - 1
     share = (count - 2).sum() / max(inner.sum(), 1)
     life = r.time_s[last] - r.time_s[first]
@@ -189,7 +155,7 @@ def _clutter(r: Recording, tracks: Tracks) -> float:
     """Return rows without a track per link, epoch and m rad rad (over the middle 90 % of their distances)."""
     m = r.measurements
     loose = np.flatnonzero(tracks.track < 0)
-    seen = len(np.unique((m.snapshot * max(len(r.links), 1) + m.link)[: tracks.rows]))
+    seen = len(np.unique((m.snapshot * max(len(r.links), 1) + m.link)[: len(tracks.track)]))
     # A component that is not measured: the width that the filters take off the density for it.
     volume = CLUTTER_WIDTH[1] if np.isnan(m.azimuth_rad).all() else 2.0 * np.pi
     volume *= _spread(m.distance_m, loose, 1.0, 1000.0, CLUTTER_WIDTH[0])

@@ -16,8 +16,10 @@ as `slam.front_end` has it; the scale of the place is the one that fits best.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
@@ -34,8 +36,7 @@ FAR_KNOWN, FAR_UNKNOWN = 0.3, 0.03
 LEAST_PATHS, ROUNDS, MOST_LEVERAGE = 4, 6, 0.8  # of the robust fit
 
 
-@dataclass(frozen=True)
-class Persisting:
+class Persisting(NamedTuple):
     """Deviations of errors that change with the place, over `scale_m`, and with the direction; empty: not known."""
 
     place: dict[str, float]
@@ -139,10 +140,8 @@ def _pairs(tracks: Tracks, recording: Recording, lag: int) -> tuple[Ints, Ints]:
     rows = np.flatnonzero(tracks.track >= 0)
     snapshots = len(recording.time_s) + lag
     code = tracks.track[rows] * snapshots + recording.measurements.snapshot[rows]
-    order = np.argsort(code)
-    at = np.minimum(np.searchsorted(code[order], code + lag), len(code) - 1)
-    found = code[order][at] == code + lag
-    return rows[found], rows[order[at[found]]]
+    later = pd.Series(rows, code).reindex(code + lag, fill_value=-1).to_numpy()
+    return rows[later >= 0], later[later >= 0]
 
 
 def _offset_known(r: Recording, rows: Ints) -> NDArray[np.bool_]:

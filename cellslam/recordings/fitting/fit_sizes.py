@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel
 
 from cellslam.recordings.fitting.fit_noise import initial_options, unmodelled
 from cellslam.recordings.fitting.held_out import Worth, compared, scores
@@ -33,7 +32,7 @@ from cellslam.recordings.importing.manifest import COMMANDS
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, Floats, OdometryModel, Recording
 from cellslam.slam import registry
-from cellslam.slam.api import odometry_of, setup_of, snapshots_of
+from cellslam.slam.api import setup_of, steps_of
 from cellslam.slam.joint import sizes
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
@@ -70,10 +69,6 @@ class Learnt:
     changes: dict[str, tuple[float, float]]
     worth: Worth | None
 
-    def table(self, model: type[BaseModel] | None) -> dict[str, Any]:
-        """Return the options of an estimator, those that its model has; empty for one that shares none."""
-        return self.options if model is not None and issubclass(model, MeasurementOptions) else {}
-
 
 def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Progress = silent) -> Learnt:
     """Return the sizes that a recording shows, or the defaults where these predict as well.
@@ -83,20 +78,21 @@ def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Pro
     """
     sheet = recording.odometry_model
     default = Learnt(dict(unmodelled(recording) if assumed is None else assumed), sheet, {}, None)
-    commanded = sheet.time_constant_s == 0.0
-    tried = 1 + len(TIME_CONSTANTS_S) + len(BETWEEN) if commanded else 0
-    with progress("learning the sizes of errors", tried + PASSES + 3 + commanded) as advance:
-        followed = replace(default, odometry_model=_followed(recording, default, advance) if commanded else sheet)
-        recording = replace(recording, odometry_model=followed.odometry_model)
+    followed = default
+    if sheet.time_constant_s == 0.0:
+        followed = replace(default, odometry_model=_followed(recording, default, progress))
+    recording = replace(recording, odometry_model=followed.odometry_model)
+    with progress("learning the sizes of errors", PASSES) as advance:
         fitted = _fitted(recording, assumed, advance)
-        if fitted is None:
-            return default
-        # What is learnt of the odometry is taken beside what is learnt of measurements, or not.
-        changes = {name: change for name, change in fitted.changes.items() if name not in COMPONENTS}
-        rivals = [default, replace(fitted, odometry_model=followed.odometry_model, changes=changes), fitted]
-        if followed.odometry_model.time_constant_s:
-            rivals.append(followed)
-        options, found = [EkfSlamOptions(**one.options) for one in rivals], list[Floats]()
+    if fitted is None:
+        return default
+    # What is learnt of the odometry is taken beside what is learnt of measurements, or not.
+    changes = {name: change for name, change in fitted.changes.items() if name not in COMPONENTS}
+    rivals = [default, replace(fitted, odometry_model=followed.odometry_model, changes=changes), fitted]
+    if followed is not default and followed.odometry_model.time_constant_s:
+        rivals.append(followed)
+    options, found = [EkfSlamOptions(**one.options) for one in rivals], list[Floats]()
+    with progress("comparing what was learnt with the defaults", len(rivals)) as advance:
         for one, own in zip(rivals, options, strict=True):
             found.append(scores(recording, Sheets(own, one.odometry_model), options))
             advance(1)
@@ -105,17 +101,18 @@ def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Pro
     return replace(rivals[best if worth[best].sure else 0], worth=worth[best])
 
 
-def _followed(recording: Recording, default: Learnt, advance: Callable[[int], None]) -> OdometryModel:
+def _followed(recording: Recording, default: Learnt, progress: Progress) -> OdometryModel:
     """Return the data sheet of commands with the least time constant that predicts what is measured later as well as
     the best one, within one deviation (Breiman et al. 1984), if that is surely better than that the vehicle follows at
     once. Too great a one predicts nearly as well, and errs more."""
     options, found = EkfSlamOptions(**default.options), dict[float, Floats]()
 
     def try_out(time_constants_s: Sequence[float]) -> float:
-        for tau in time_constants_s:
-            sheet = replace(default.odometry_model, time_constant_s=tau)
-            found[tau] = scores(recording, Sheets(options, sheet), [options])
-            advance(1)
+        with progress("learning how the vehicle follows commands", len(time_constants_s)) as advance:
+            for tau in time_constants_s:
+                sheet = replace(default.odometry_model, time_constant_s=tau)
+                found[tau] = scores(recording, Sheets(options, sheet), [options])
+                advance(1)
         return max(found, key=lambda tau: compared(found[0.0], found[tau]).mean)
 
     best = try_out((0.0, *TIME_CONSTANTS_S))
@@ -144,6 +141,7 @@ def _fitted(recording: Recording, assumed: Mapping[str, Any] | None, advance: Ca
             last = Pass(tried, found, off)
             fitting = last if fitting is None or off < fitting.off else fitting
             if off < FITS:
+                advance(PASSES - 1 - number)  # no more are needed
                 break
             tried = nearer
         elif last is None:
@@ -180,10 +178,9 @@ def _found(recording: Recording, sheets: Sheets) -> Sizes | None:
     estimator = EkfSlam(sheets.options.model_copy(update={"merge_rate": 0.0}))
     estimator.grows = False
     recording = replace(recording, odometry_model=sheets.odometry)
-    odometry, dt_s = odometry_of(recording), np.diff(recording.time_s, prepend=recording.time_s[0])
     estimator.start(setup_of(recording), np.random.default_rng(0))
-    for t, snapshot in enumerate(snapshots_of(recording)):
-        estimator.step(float(dt_s[t]), odometry[t], snapshot)
+    for step in steps_of(recording):
+        estimator.step(*step)
     try:
         return estimator.sizes()
     except RuntimeError:
@@ -223,20 +220,21 @@ def _with_least(recording: Recording, sheet: OdometryModel) -> OdometryModel:
 def toml(path: Path, learnt: Learnt) -> str:
     """Return the tables [estimator.NAME] and [noise.COMPONENT] that `--options` takes, for every estimator that has
     these options; comments say where from."""
-    out = [f"# learnt from {path}; cellslam replay takes this file as --options FILE.toml"]
-    out += [f"# {line}" for line in in_words(learnt)]
-    tables = {e.name: learnt.table(registry.options_model(registry.resolve(e.name))) for e in registry.BUILT_IN}
-    for name, table in tables.items():
-        if table:
-            out += ["", f"[estimator.{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
-    sheet = learnt.odometry_model
+    import tomli_w
+
+    comments = [f"learnt from {path}; cellslam replay takes this file as --options FILE.toml", *in_words(learnt)]
+    models = {entry.name: registry.options_model(registry.resolve(entry.name)) for entry in registry.BUILT_IN}
+    options = {key: _rounded(value) for key, value in learnt.options.items()}
+    sharing = [name for name, model in models.items() if model is not None and issubclass(model, MeasurementOptions)]
+    sheet, noise = learnt.odometry_model, dict[str, dict[str, Any]]()
     if sheet.time_constant_s:
-        out += ["", f"[noise.{COMMANDS}]", f"time_constant_s = {sheet.time_constant_s:.4g}"]
+        noise[COMMANDS] = {"time_constant_s": _rounded(sheet.time_constant_s)}
     for i, component in enumerate(COMPONENTS):
-        values = {kind: getattr(sheet, kind)[i] for kind in KINDS_OF_NOISE}
-        if any(values.values()):
-            out += ["", f"[noise.{component}]", *(f"{kind} = {value:.4g}" for kind, value in values.items())]
-    return "\n".join(out) + "\n"
+        values = {kind: _rounded(float(getattr(sheet, kind)[i])) for kind in KINDS_OF_NOISE}
+        noise |= {component: values} if any(values.values()) else {}
+    tables = {"estimator": dict.fromkeys(sharing if options else (), options), "noise": noise}
+    text = tomli_w.dumps({name: table for name, table in tables.items() if table})
+    return "".join(f"# {line}\n" for line in comments) + "\n" + text
 
 
 def in_words(learnt: Learnt) -> list[str]:
@@ -256,5 +254,5 @@ def in_words(learnt: Learnt) -> list[str]:
     return [f"{begin}:", *(f"  {line}" for line in lines)] if lines else [f"{begin}, are about those that were assumed"]
 
 
-def _toml(value: float | str) -> str:
-    return f'"{value}"' if isinstance(value, str) else f"{value:.4g}"
+def _rounded(value: Any) -> Any:
+    return float(f"{value:.4g}") if isinstance(value, float) else value

@@ -8,8 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
-from cellslam.recordings.inspection.corrections import dead_reckoned
+from cellslam.recordings.inspection.corrections import PLANE, dead_reckoned, displacement, moved_on
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording
 
@@ -35,7 +36,6 @@ class Steps:
 class Tracks:
     """`track` (M,) of each row used, -1 for none of three detections; `steps` between detections; poses (T, 6)."""
 
-    rows: int
     track: Ints
     steps: Steps
     poses: Floats
@@ -59,7 +59,7 @@ def tracks_of(recording: Recording) -> Tracks:
             known = np.isfinite(steps.innovation[:, i]).sum()
             scale[i] = initial if known < 30 else max(robust_std(steps.innovation[:, i]), 1e-4 * initial)
         steps = _joined(r, poses, rows, scale)
-    return Tracks(rows, _labels(steps, rows), steps, poses)
+    return Tracks(_labels(steps, rows), steps, poses)
 
 
 def innovations(recording: Recording, poses: Floats, first: Ints, second: Ints) -> Floats:
@@ -74,21 +74,13 @@ def innovations(recording: Recording, poses: Floats, first: Ints, second: Ints) 
 def _predicted(recording: Recording, poses: Floats, first: Ints, later: Ints) -> Floats:
     """Return the measurements (n, 3) that rows `first` lead one to expect in snapshots `later`, if sources stay."""
     m = recording.measurements
-    a, b = poses[m.snapshot[first]], poses[later]
-    step = b[:, :2] - a[:, :2]
-    c, s = np.cos(a[:, 3]), np.sin(a[:, 3])
-    forward, left = c * step[:, 0] + s * step[:, 1], -s * step[:, 0] + c * step[:, 1]
-    offset = recording.sites.clock_offset_mean_m[recording.links.site[m.link[first]]]
-    azimuth, elevation = m.azimuth_rad[first], np.nan_to_num(m.elevation_rad[first])
-    turn = wrap_angle(b[:, 3] - a[:, 3])
     if np.isnan(m.azimuth_rad).all():
         return np.column_stack([m.distance_m[first], np.full(len(first), np.nan), m.elevation_rad[first]])
-    reach = np.maximum(np.nan_to_num(m.distance_m[first] - offset, nan=1e6), 5.0)
-    x = reach * np.cos(elevation) * np.cos(azimuth) - forward
-    y = reach * np.cos(elevation) * np.sin(azimuth) - left
-    z = reach * np.sin(elevation)
-    distance = m.distance_m[first] - reach + np.sqrt(x * x + y * y + z * z)
-    return np.column_stack([distance, wrap_angle(np.arctan2(y, x) - turn), m.elevation_rad[first]])
+    offset = recording.sites.clock_offset_mean_m[recording.links.site[m.link[first]]]
+    range_m = np.maximum(np.nan_to_num(m.distance_m[first] - offset, nan=1e6), 5.0)
+    moved = displacement(poses[m.snapshot[first]][:, PLANE], poses[later][:, PLANE])
+    change, azimuth = moved_on(range_m, m.azimuth_rad[first], np.nan_to_num(m.elevation_rad[first]), moved)
+    return np.column_stack([m.distance_m[first] + change, azimuth, m.elevation_rad[first]])
 
 
 def _joined(r: Recording, poses: Floats, rows: int, scale: Floats) -> Steps:
@@ -111,11 +103,7 @@ def _joined(r: Recording, poses: Floats, rows: int, scale: Floats) -> Steps:
         near = np.flatnonzero(cost < GATE**2)
         near = near[np.argsort(cost[near], kind="stable")]
         # Mutual best: the first row of each in order of cost.
-        best_first = np.zeros(len(near), bool)
-        best_first[np.unique(first[near], return_index=True)[1]] = True
-        best_second = np.zeros(len(near), bool)
-        best_second[np.unique(second[near], return_index=True)[1]] = True
-        kept = near[best_first & best_second]
+        kept = near[~(pd.Series(first[near]).duplicated() | pd.Series(second[near]).duplicated())]
         has_next[first[kept]], has_last[second[kept]] = True, True
         parts.append((first[kept], second[kept], np.full(len(kept), lag), innovation[kept]))
     return Steps(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
@@ -137,11 +125,7 @@ def polled_share(recording: Recording) -> float:
 
 def _epochs(snapshot: Ints, link: Ints) -> Ints:
     """Return the number of each row's snapshot (M,) among those in which its link has measurements."""
-    out = np.empty(len(snapshot), np.int64)
-    for one in np.unique(link):
-        rows = np.flatnonzero(link == one)
-        out[rows] = np.unique(snapshot[rows], return_inverse=True)[1]
-    return out
+    return pd.Series(snapshot).groupby(link).rank("dense").to_numpy(np.int64)
 
 
 def _candidates(ordered: Ints, key: Ints, rows: Ints, shift: int) -> tuple[Ints, Ints]:

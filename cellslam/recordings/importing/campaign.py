@@ -208,12 +208,12 @@ def _surveys(campaign: Campaign, names: Sequence[str]) -> dict[str, Floats]:
 
 
 def _model(campaign: Campaign) -> contract.OdometryModel:
-    noise, follows_s = campaign.noise, None if campaign.odometry is None else campaign.odometry.follows_s
-    for name in noise:
+    for name in campaign.noise:
         if name not in KINDS_OF_NOISE:
-            raise InputError(f"odometry noise: unknown '{name}' (known: {', '.join(KINDS_OF_NOISE)})")
-    rows = {name: np.asarray(noise.get(name, NOTHING), np.float64) for name in KINDS_OF_NOISE}
-    return contract.OdometryModel(**rows, time_constant_s=follows_s)
+            raise unknown_name("kind of noise", name, KINDS_OF_NOISE)
+    rows = {name: np.asarray(campaign.noise.get(name, NOTHING), np.float64) for name in KINDS_OF_NOISE}
+    odometry = campaign.odometry
+    return contract.OdometryModel(**rows, time_constant_s=None if odometry is None else odometry.time_constant_s)
 
 
 def _reference(table: ReferenceTable) -> Reference:

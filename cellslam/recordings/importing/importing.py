@@ -1,22 +1,85 @@
-"""From a folder of tables and its manifest to a recording."""
+"""From a folder of tables and its manifest to a recording.
+
+`TABLES` is the one description of columns: their names, and the units in which each may be given.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cellslam.recordings.importing.campaign import KINDS_OF_NOISE, NOTHING, Campaign, ReferenceTable, build
-from cellslam.recordings.importing.columns import ATTITUDE, POSITION, Table, read_table
+from cellslam.recordings.importing.campaign import (
+    DEVIATIONS,
+    KINDS_OF_NOISE,
+    NOTHING,
+    QUANTITIES,
+    Campaign,
+    ReferenceTable,
+    build,
+)
 from cellslam.recordings.importing.geodesy import projected
-from cellslam.recordings.importing.manifest import NAME, DriveTable, Link, Manifest, ReferenceFile, load_manifest
-from cellslam.recordings.importing.odometry import OdometryTable
-from cellslam.sim.errors import InputError, nearest_name
-from cellslam.sim.frames import mean_velocity, rotation
+from cellslam.recordings.importing.manifest import (
+    NAME,
+    Column,
+    DriveTable,
+    Link,
+    Manifest,
+    Noise,
+    ReferenceFile,
+    load_manifest,
+)
+from cellslam.recordings.importing.odometry import OdometryTable, times_of
+from cellslam.recordings.importing.tables import TableFile
+from cellslam.sim.described import POSE_COLUMNS, POSITION_COLUMNS
+from cellslam.sim.errors import InputError, nearest_name, unknown_name
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, mean_velocity, rotation
 from cellslam.sim.recording import CLOCK_PRIOR, COMPONENTS, Floats, Ints, Recording
 
+Units = dict[str, float]  # what one of each is in ours, which comes first
+TIME: Units = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+LENGTH: Units = {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048}
+SAMPLES: Units = {"samples": np.nan}  # by [measurements] sample_rate_hz
+DELAY: Units = LENGTH | {unit: SPEED_OF_LIGHT_MPS * factor for unit, factor in TIME.items()} | SAMPLES
+ANGLE: Units = {"rad": 1.0, "deg": np.pi / 180.0}
+RATE: Units = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
+SPEED: Units = {"m/s": 1.0, "km/h": 1.0 / 3.6}
+LEVEL: Units = {"dB": 1.0}
+
+TABLES: dict[str, dict[str, Units]] = {
+    "measurements": {
+        "time_s": TIME,
+        **dict(zip(QUANTITIES, (DELAY, ANGLE, ANGLE, LEVEL), strict=True)),
+        **dict(zip(DEVIATIONS, (DELAY, ANGLE, ANGLE), strict=True)),
+    },
+    "snapshots": {"time_s": TIME},
+    "odometry": {"time_s": TIME, **dict.fromkeys(COMPONENTS[:3], SPEED), **dict.fromkeys(COMPONENTS[3:], RATE)},
+    "odometry of kind poses": {
+        "time_s": TIME,
+        **dict.fromkeys(POSITION_COLUMNS, LENGTH),
+        **dict.fromkeys(POSE_COLUMNS[3:], ANGLE),
+    },
+    "reference": {
+        "time_s": TIME,
+        **dict.fromkeys(POSITION_COLUMNS, LENGTH),
+        **dict.fromkeys(("latitude_rad", "longitude_rad", "yaw_rad"), ANGLE),
+        "std_m": LENGTH,
+    },
+}
 STDS = {"distance_m": "distance_std_m", "azimuth_deg": "azimuth_std_rad", "elevation_deg": "elevation_std_rad"}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a campaign: its file, its times (N,) in s on the recording's clock, its other columns (N,) in m, rad,
+    m/s, rad/s or dB.
+    """
+
+    file: TableFile
+    time_s: Floats
+    columns: dict[str, Floats]
 
 
 def import_folder(folder: Path) -> Recording:
@@ -34,11 +97,11 @@ def campaign_of(folder: Path, manifest: Manifest) -> Campaign:
     table = read_table(folder, manifest, "measurements")
     for name, std in manifest.measurements.std.items():
         if name not in STDS:
-            raise InputError(f"measurements.std: unknown '{name}'{nearest_name(name, STDS)} (known: {', '.join(STDS)})")
+            raise unknown_name("key of measurements.std", name, STDS)
         table.columns[STDS[name]] = np.full(len(table.time_s), std if name == "distance_m" else np.radians(std))
-    names, link = _links(manifest, table)
-    links = [manifest.links.get(name) for name in names]
-    sites = [name if known is None else known.site for name, known in zip(names, links, strict=True)]
+    names, rows = _links(manifest, table)
+    links = [manifest.links.get(name, Link(site=name)) for name in names]
+    sites = [link.site for link in links]
     about: dict[str, Any] = {"description": manifest.description, "manifest": manifest.model_dump(mode="json")}
     odometry = reference = None
     if manifest.odometry is not None:
@@ -48,11 +111,11 @@ def campaign_of(folder: Path, manifest: Manifest) -> Campaign:
     return Campaign(
         time_s=table.time_s,
         columns=table.columns,
-        link=link,
+        link=rows,
         link_sites=sites,
-        link_cells=[-1 if known is None else known.cell_id for known in links],
-        link_ports=[-1 if known is None else known.port for known in links],
-        link_azimuths=[_azimuth(known) for known in links],
+        link_cells=[link.cell_id for link in links],
+        link_ports=[link.port for link in links],
+        link_azimuths=[np.nan if link.azimuth_deg is None else np.radians(link.azimuth_deg) for link in links],
         site_offsets=_offsets(manifest, sites),
         site_surveys=_surveys(manifest),
         odometry=odometry,
@@ -111,19 +174,10 @@ def _surveys(manifest: Manifest) -> dict[str, tuple[float, ...]]:
     }
 
 
-def _azimuth(link: Link | None) -> float:
-    return np.nan if link is None or link.azimuth_deg is None else float(np.radians(link.azimuth_deg))
-
-
 def _odometry(table: Table, asked: DriveTable) -> OdometryTable:
     times, columns, hold = table.time_s, table.columns, asked.hold
     if asked.kind == "poses":
-        late = np.flatnonzero(~(np.diff(times) > 0))
-        if len(late):
-            raise InputError(
-                f"{table.file.path}: row {late[0] + 1}: its time is not after that of the row before it: sort by time"
-            )
-        columns, times, hold = _differences(columns, times), times[1:], "before"
+        columns, times, hold = _differences(columns, times_of("odometry", times)), times[1:], "before"
     if asked.axes == "forward-right-down":
         other_way = ("u_y", "u_z", "u_psi", "u_theta")
         columns = {name: -values if name in other_way else values for name, values in columns.items()}
@@ -132,26 +186,24 @@ def _odometry(table: Table, asked: DriveTable) -> OdometryTable:
 
 def _differences(columns: dict[str, Floats], times: Floats) -> dict[str, Floats]:
     """Return mean body velocities from poses in a frame of the odometry's own; what has no column does not move."""
-    names = (*POSITION, *ATTITUDE)
-    poses = np.column_stack([columns.get(name, np.zeros(len(times))) for name in names])
+    poses = np.column_stack([columns.get(name, np.zeros(len(times))) for name in POSE_COLUMNS])
     u = mean_velocity(poses[:-1], poses[1:], np.diff(times))
-    given = [any(name in columns for name in ("x_m", "y_m"))] * 2 + [name in columns for name in names[2:]]
+    given = [any(name in columns for name in ("x_m", "y_m"))] * 2 + [name in columns for name in POSE_COLUMNS[2:]]
     return {name: u[:, i] for i, name in enumerate(COMPONENTS) if given[i]}
 
 
 def _noise(manifest: Manifest) -> dict[str, tuple[float, ...]]:
     for name in manifest.noise:
         if name not in COMPONENTS:
-            near = nearest_name(name, COMPONENTS)
-            raise InputError(f"[noise.{name}]: unknown{near} (known: {', '.join(COMPONENTS)})")
+            raise unknown_name("component of [noise]", name, COMPONENTS)
     for name in manifest.odometry.columns if manifest.odometry is not None else ():
         if name in COMPONENTS and name not in manifest.noise:
             raise InputError(
                 f"[noise.{name}] is missing: write its noise_density (m/s or rad/s times root second), bias, scale; "
                 "'cellslam fit-noise' estimates them once the recording is made"
             )
-    rows = [manifest.noise.get(component) for component in COMPONENTS]
-    return {kind: tuple(0.0 if row is None else getattr(row, kind) for row in rows) for kind in KINDS_OF_NOISE}
+    rows = [manifest.noise.get(component, Noise()) for component in COMPONENTS]
+    return {kind: tuple(getattr(row, kind) for row in rows) for kind in KINDS_OF_NOISE}
 
 
 def _start(manifest: Manifest) -> tuple[float, ...] | None:
@@ -188,3 +240,47 @@ def _reference(table: Table, asked: ReferenceFile, about: dict[str, Any]) -> Ref
             )
         position = position + np.einsum("nij,j->ni", rotation(yaw, 0.0 * yaw, 0.0 * yaw), np.asarray(asked.lever_arm_m))
     return ReferenceTable(table.time_s, position, yaw, columns.get("std_m", asked.std_m))
+
+
+def read_table(folder: Path, manifest: Manifest, name: str) -> Table:
+    """Return the table [name] of a manifest. Raises InputError naming column, unit, or row."""
+    asked = getattr(manifest, name)
+    described = TABLES["odometry of kind poses" if getattr(asked, "kind", "") == "poses" else name]
+    for own, column in asked.columns.items():
+        if own not in described:
+            raise unknown_name(f"key of {name}.columns", own, described)
+        if column.unit not in described[own]:
+            allowed = ", ".join(described[own])
+            raise InputError(f"{name}.columns.{own}: unit '{column.unit}' does not fit; give it in {allowed}")
+    if "time_s" not in asked.columns:
+        raise InputError(f"{name}.columns: 'time_s' is missing; name the column that holds the time")
+    file, rate = TableFile(folder / asked.file, asked.variable, asked.delimiter), manifest.measurements.sample_rate_hz
+    columns = {
+        own: _in_our_unit(own, column, file.numbers(column.column), described[own], rate)
+        for own, column in asked.columns.items()
+    }
+    return Table(file, _on_our_clock(columns.pop("time_s"), manifest, asked.clock), columns)
+
+
+def _in_our_unit(name: str, column: Column, values: Floats, units: Units, sample_rate_hz: float | None) -> Floats:
+    """Return a column (N,): (zero + sign * value) times the unit."""
+    factor = units[column.unit]
+    if column.unit in SAMPLES:
+        if sample_rate_hz is None:
+            raise InputError(f"measurements.columns.{name}: unit 'samples' needs measurements.sample_rate_hz")
+        factor = SPEED_OF_LIGHT_MPS / sample_rate_hz
+    # What needs no change keeps its last digit.
+    if column.sign == 1 and column.zero == 0.0:
+        return values if factor == 1.0 else values * factor
+    return (column.zero + column.sign * values) * factor
+
+
+def _on_our_clock(times: Floats, manifest: Manifest, name: str) -> Floats:
+    """Return times (N,) in s of the clock `name`, empty for the recording's own, on the recording's."""
+    if not name:
+        return times
+    if name not in manifest.clocks:
+        near = nearest_name(name, manifest.clocks)
+        raise InputError(f"clock '{name}' is not in [clocks]{near} (known: {', '.join(manifest.clocks) or 'none'})")
+    clock = manifest.clocks[name]
+    return clock.offset_s + (1.0 + 1e-6 * clock.drift_ppm) * times

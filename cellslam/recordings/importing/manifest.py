@@ -98,12 +98,12 @@ class DriveTable(FileTable):
         "next", description="a row is valid until the next row, since the row before, or in between interpolate"
     )
     valid_s: float | None = Field(
-        None, gt=0, description="how long a row is valid at most, s; inf: commands, which hold until the next; none: "
-        "five times the median interval",
+        None, gt=0, description="how long a row is valid at most, s; inf: for ever, as commands are; none: five times "
+        "the median interval",
     )  # fmt: skip
     time_constant_s: float | None = Field(
-        None, ge=0, le=10, description="with which the vehicle follows commands, s; 0: not known; none: velocities are "
-        "measured, unless valid_s is inf",
+        None, ge=0, le=10, description="these are commands, which the vehicle follows with it, s; 0: not known; none: "
+        "they are measured, or, where valid_s is inf, 0",
     )  # fmt: skip
     axes: Literal["forward-left-up", "forward-right-down"] = Field("forward-left-up", description="axes of the body")
     lever_arm_m: Triple = Field((0.0, 0.0, 0.0), description="where the antenna is, from the point that is measured, m")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cellslam.sim.errors import InputError, nearest_name
+from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.frames import mean_velocity, rotation
 from cellslam.sim.recording import COMPONENTS, Floats
 
@@ -22,10 +22,11 @@ class OdometryTable:
     """Velocities at their own times (N,): components of u by name ("u_x" in m/s, "u_psi" in rad/s, ...), each (N,).
 
     `hold`: "next", a row is valid until the next row; "before", since the row before; "linear", in between
-    interpolate. `valid_s`: the longest time for which a row is valid, after which nothing was measured: infinite for
-    commands, which hold until the next one; None: five median intervals. A component that is left out was not measured.
-    `time_constant_s`: with which the vehicle follows commands; zero: nobody knows. None: it is measured, if `valid_s`
-    is not infinite. `lever_arm_m`: the array in the body frame of the point whose velocity this is.
+    interpolate. `valid_s`: the longest time for which a row is valid, after which nothing was measured; None: five
+    median intervals. A component that is left out was not measured. `lever_arm_m`: the array in the body frame of the
+    point whose velocity this is. `time_constant_s`: these are commands, and with it the vehicle follows them; zero:
+    nobody knows it; None: velocities were measured. What is valid for ever is a command: nobody knows how it is
+    followed unless `time_constant_s` says so.
     """
 
     time_s: ArrayLike
@@ -35,10 +36,9 @@ class OdometryTable:
     lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0)
     time_constant_s: float | None = None
 
-    @property
-    def follows_s(self) -> float | None:
-        """The time constant with which the vehicle follows commands, 0 where nobody knows; None: they are none."""
-        return 0.0 if self.time_constant_s is None and self.valid_s == np.inf else self.time_constant_s
+    def __post_init__(self) -> None:
+        if self.valid_s == np.inf and self.time_constant_s is None:
+            object.__setattr__(self, "time_constant_s", 0.0)
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,7 @@ def motion_of(table: OdometryTable) -> Motion:
     values = np.full((len(times), 6), np.nan)
     for name, column in table.components.items():
         if name not in COMPONENTS:
-            near = nearest_name(name, COMPONENTS)
-            raise InputError(f"odometry: unknown component '{name}'{near} (known: {', '.join(COMPONENTS)})")
+            raise unknown_name("component of odometry", name, COMPONENTS)
         values[:, COMPONENTS.index(name)] = array = column_of("odometry", name, column, len(times))
         infinite = np.flatnonzero(np.isinf(array))
         if len(infinite):

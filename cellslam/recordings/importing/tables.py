@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.recordings.importing.manifest import FileTable
 from cellslam.recordings.importing.matlab import variables
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.recording import Floats
@@ -29,21 +28,27 @@ TEXT = (".csv", ".txt", ".tsv", ".dat")
 class TableFile:
     """A table's file, read once: `numbers` and `labels` return its columns. Raises InputError."""
 
-    def __init__(self, folder: Path, table: FileTable) -> None:
-        self.path = folder / table.file
+    def __init__(self, path: Path, variable: str = "", delimiter: str = "") -> None:
+        """`variable`: struct or matrix of a MATLAB file; `delimiter`: of a text file; empty: as the file has it."""
+        self.path = path
         self._head: Head | None = None
-        if not self.path.is_file():
-            names = sorted(p.name for p in folder.iterdir() if p.is_file())
-            near = nearest_name(table.file, names)
-            raise InputError(f"{self.path}: no such file{near} (the folder holds: {', '.join(names[:20])})")
-        suffix = self.path.suffix.lower()
+        if not path.is_file():
+            names = sorted(p.name for p in path.parent.glob("*") if p.is_file())
+            near = nearest_name(path.name, names)
+            raise InputError(f"{path}: no such file{near} (the folder holds: {', '.join(names[:20]) or 'no file'})")
+        suffix = path.suffix.lower()
         if suffix == ".mat":
-            self._columns: Mapping[str, Any] = _struct(self.path, table.variable)
+            self._columns: Mapping[str, Any] = _struct(path, variable)
         elif suffix in TEXT:
-            self._head = Head.of(self.path, table.delimiter)
-            self._columns = _text_columns(self.path, self._head)
+            self._head = Head.of(path, delimiter)
+            self._columns = _text_columns(path, self._head)
         else:
-            raise InputError(f"{self.path}: '{suffix}' files are not read; export it as .csv or .mat")
+            raise InputError(f"{path}: '{suffix}' files are not read; export it as .csv or .mat")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the columns."""
+        return tuple(self._columns)
 
     def numbers(self, name: str) -> Floats:
         """Return a column as floats (N,), in the unit of the file; an empty cell is NaN. Raises InputError."""
@@ -74,8 +79,8 @@ class TableFile:
 
     def _raw(self, name: str) -> Any:
         if name not in self._columns:
-            near = nearest_name(name, self._columns)
-            known = ", ".join(list(self._columns)[:20])
+            near = nearest_name(name, self.names)
+            known = ", ".join(self.names[:20])
             how = "; without names, columns go by their number" if "1" in self._columns else ""
             raise InputError(f"{self.path}: no column '{name}'{near} (it has: {known}{how})")
         return self._columns[name]
@@ -166,8 +171,6 @@ def _text_columns(path: Path, head: Head) -> dict[str, Any]:
                 path, sep=head.separator or r"\s+", skipinitialspace=True, index_col=False, low_memory=False,
                 header=0 if head.named_first else None, names=names, skiprows=list(head.comments) or None,
             )  # fmt: skip
-    except pd.errors.EmptyDataError:
-        raise InputError(f"{path}: is empty; it needs a header line with the names of the columns") from None
     except pd.errors.ParserError as error:
         reason = str(error).removeprefix("Error tokenizing data. C error: ").strip()
         raise InputError(f"{path}: {reason}; {cells}") from error

@@ -10,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.recordings.importing.odometry import Motion, integrate
+from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import odometry_of
 
 Arm = tuple[float, float]
+PLANE = [0, 1, 3]  # x, y, yaw of a pose
+OF_TABLE = {"odometry": ("speed", "yaw_rate", "side"), "reference": ("reference", "mirrored")}  # fields of Correction
 GAP = 3.0  # median intervals: between fixes further apart than so nobody knows where the vehicle was
 
 
@@ -39,20 +42,20 @@ class Correction:
     measurements_arm_m: Arm = (0.0, 0.0)
     reference: float = 1.0
     mirrored: bool = False
+    yaw_mirrored: bool = False  # yaws count from north, clockwise, as those of a reference north-east-down do
     reference_late_s: float = 0.0
     reference_arm_m: Arm = (0.0, 0.0)
 
-    def effect(self, table: str, fields: Sequence[str]) -> Correction:
-        """Return what shows of it between the odometry and another table, which alone has `fields`: of delays and arms
-        only differences show, or, of the array from the point of both, sums.
+    def effect(self, own: str, other: str, fields: Sequence[str]) -> Correction:
+        """Return what shows of it between the table `own`, odometry or reference, and another one, which alone has
+        `fields`: of delays and arms only differences show, or, of the array from the point of both, sums.
         """
-        (x, y), (other_x, other_y) = self.odometry_arm_m, getattr(self, f"{table}_arm_m")
-        sign = -1.0 if table == "reference" else 1.0
-        return Correction(
-            odometry_late_s=self.odometry_late_s - getattr(self, f"{table}_late_s"),
-            odometry_arm_m=(x + sign * other_x, y + sign * other_y),
-            **{field: getattr(self, field) for field in ("speed", "yaw_rate", "side", *fields)},
-        )
+        (x, y), (other_x, other_y) = getattr(self, f"{own}_arm_m"), getattr(self, f"{other}_arm_m")
+        sign = -1.0 if other == "reference" else 1.0
+        shown: dict[str, Any] = {field: getattr(self, field) for field in (*OF_TABLE[own], *fields)}
+        shown[f"{own}_late_s"] = getattr(self, f"{own}_late_s") - getattr(self, f"{other}_late_s")
+        shown[f"{own}_arm_m"] = (x + sign * other_x, y + sign * other_y)
+        return Correction(**shown)
 
     def having(self, field: str, value: Any) -> Correction:
         """Return it with one of its fields, by name, at another value."""
@@ -62,28 +65,29 @@ class Correction:
 class Drive:
     """The odometry in the plane, from the origin, for any correction of it."""
 
+    table = "odometry"
+
     def __init__(self, recording: Recording) -> None:
         self.time_s = recording.time_s
-        self._velocity = odometry_of(recording)[1:, [0, 1, 3]]
+        self._velocity = odometry_of(recording)[1:]
         self._tracks: dict[tuple[float, float, float], Floats] = {}
 
-    def poses(self, times: Floats, c: Correction, arm: Arm) -> Floats:
-        """Return x, y (m) and yaw (rad), (..., 3), at `times` (...,) in s, of the point `arm` away; NaN outside."""
-        key = (c.speed, c.yaw_rate, c.side)
+    def poses(self, times: Floats, c: Correction) -> Floats:
+        """Return x, y (m) and yaw (rad), (..., 3), of the array at `times` (...,) in s; NaN outside."""
+        key, when = (c.speed, c.yaw_rate, c.side), times + c.odometry_late_s
         if key not in self._tracks:
             self._tracks[key] = self._track(*key)
-        inside = (times >= self.time_s[0]) & (times <= self.time_s[-1])
-        columns = self._tracks[key].T
-        x, y, yaw = (np.where(inside, np.interp(times, self.time_s, column), np.nan) for column in columns)
-        return away(x, y, yaw, arm)
+        x, y, yaw = (np.interp(when, self.time_s, column, np.nan, np.nan) for column in self._tracks[key].T)
+        return away(x, y, yaw, c.odometry_arm_m)
+
+    def places(self, times: Floats, c: Correction) -> Floats:
+        """Return x, y (..., 2) in m of the array at `times` (...,) in s; NaN outside."""
+        return self.poses(times, c)[..., :2]
 
     def _track(self, speed: float, yaw_rate: float, side: float) -> Floats:
-        dt = np.diff(self.time_s)
-        yaw = np.concatenate([[0.0], np.cumsum(self._velocity[:, 2] * dt * yaw_rate)])
-        half = 0.5 * (yaw[1:] + yaw[:-1])
-        ahead, left = self._velocity[:, 0] * dt * speed, self._velocity[:, 1] * dt * speed * side
-        step = np.column_stack([ahead * np.cos(half) - left * np.sin(half), ahead * np.sin(half) + left * np.cos(half)])
-        return np.column_stack([np.vstack([np.zeros(2), np.cumsum(step, axis=0)]), yaw])
+        velocity = self._velocity * np.array([speed, speed * side, 0.0, yaw_rate, 0.0, 0.0])
+        motion = Motion(self.time_s, velocity, np.ones(6, np.bool_))
+        return integrate(motion, self.time_s, np.zeros(6))[0][:, PLANE]
 
 
 class Fixes:
@@ -91,6 +95,8 @@ class Fixes:
 
     Between fixes that are further apart than usual nothing is known.
     """
+
+    table = "reference"
 
     def __init__(self, time_s: Floats, position_m: Floats, yaw_rad: Floats | None) -> None:
         self.time_s, self.position_m = time_s, position_m
@@ -105,26 +111,37 @@ class Fixes:
 
     def places(self, times: Floats, c: Correction) -> Floats:
         """Return x, y (..., 2) in m at `times` (...,) in s, for a correction of the reference; NaN outside."""
-        when = times + c.reference_late_s
-        inside = (when >= self.time_s[0]) & (when <= self.time_s[-1])
-        columns = self.position_m.T[::-1] if c.mirrored else self.position_m.T
-        return c.reference * np.stack([np.where(inside, np.interp(when, self.time_s, p), np.nan) for p in columns], -1)
+        when, columns = times + c.reference_late_s, self.position_m.T[::-1] if c.mirrored else self.position_m.T
+        return c.reference * np.stack([np.interp(when, self.time_s, p, np.nan, np.nan) for p in columns], -1)
 
-    def poses(self, times: Floats, c: Correction, yaw_mirrored: bool = False) -> Floats:
-        """Return x, y (m) and yaw (rad), (..., 3), of the array at `times` (...,) in s; NaN outside.
-
-        `yaw_mirrored`: yaws count from north, clockwise, as those of a reference north-east-down do.
-        """
+    def poses(self, times: Floats, c: Correction) -> Floats:
+        """Return x, y (m) and yaw (rad), (..., 3), of the array at `times` (...,) in s; NaN outside."""
         assert self.yaw_rad is not None
         x, y = np.moveaxis(self.places(times, c), -1, 0)
         yaw = np.interp(times + c.reference_late_s, self.time_s, self.yaw_rad)
-        return away(x, y, 0.5 * np.pi - yaw if yaw_mirrored else yaw, c.reference_arm_m)
+        return away(x, y, 0.5 * np.pi - yaw if c.yaw_mirrored else yaw, c.reference_arm_m)
 
 
 def away(x: Floats, y: Floats, yaw: Floats, arm: Arm) -> Floats:
     """Return poses (..., 3) of the point `arm` away, in m in the body frame, from one at x, y (m) with a yaw (rad)."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     return np.stack([x + cos * arm[0] - sin * arm[1], y + sin * arm[0] + cos * arm[1], yaw], axis=-1)
+
+
+def displacement(a: Floats, b: Floats) -> Floats:
+    """Return forward, left (m) and turn (rad), (n, 3), from poses a to b (n, 3) of x, y and yaw, in the frame of a."""
+    step = b[:, :2] - a[:, :2]
+    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+    return np.column_stack([c * step[:, 0] + s * step[:, 1], -s * step[:, 0] + c * step[:, 1], b[:, 2] - a[:, 2]])
+
+
+def moved_on(range_m: Floats, azimuth: Floats, elevation: Floats, moved: Floats) -> tuple[Floats, Floats]:
+    """Return the change of the range in m and the azimuth in rad (n,) of sources that stay where they are, after a
+    `displacement` (n, 3); before it they are seen at `range_m`, azimuth and elevation (n,) in rad.
+    """
+    flat, high = range_m * np.cos(elevation), range_m * np.sin(elevation)
+    x, y = flat * np.cos(azimuth) - moved[:, 0], flat * np.sin(azimuth) - moved[:, 1]
+    return np.sqrt(x * x + y * y + high * high) - np.abs(range_m), wrap_angle(np.arctan2(y, x) - moved[:, 2])
 
 
 def dead_reckoned(recording: Recording, times: Floats) -> Floats:

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from cellslam.recordings.inspection.corrections import Correction, Drive, Fixes
+from cellslam.recordings.inspection.corrections import Correction, Drive, Fixes, displacement, moved_on
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording
 
@@ -64,10 +64,11 @@ class PathEvidence:
     where its source is, so that clocks must be known.
     """
 
-    def __init__(self, recording: Recording, drive: Drive, fixes: Fixes | None = None) -> None:
-        """`fixes`: the reference; None: odometry. Raises ValueError where azimuths, yaws or motion are too few."""
-        m, self.drive, self.fixes, self.time_s = recording.measurements, drive, fixes, recording.time_s
-        self.name = "paths" if fixes is None else "sightings"
+    def __init__(self, recording: Recording, motion: Drive | Fixes) -> None:
+        """Raise ValueError where azimuths, yaws or motion are too few."""
+        m, self.motion, self.time_s = recording.measurements, motion, recording.time_s
+        self.of_fixes = isinstance(motion, Fixes)
+        self.name = f"measured paths and {motion.table}"
         self.usable = ~np.isnan(m.azimuth_rad) & (~np.isnan(m.distance_m) | np.isnan(m.distance_m).all())
         if self.usable.sum() < FEWEST:
             raise ValueError
@@ -77,9 +78,9 @@ class PathEvidence:
         self.known = (recording.sites.clock_offset_std_m == 0.0)[recording.links.site][m.link] & self.ranged
         mean = recording.sites.clock_offset_mean_m[recording.links.site][m.link]
         self.distance = np.where(self.known, m.distance_m - mean, m.distance_m) if self.ranged else np.zeros(len(m))
-        if fixes is not None:
-            self.usable &= fixes.known(self.time_s)[m.snapshot]
-            if fixes.yaw_rad is None or self.usable.sum() < FEWEST or not self.known[self.usable].all():
+        if isinstance(motion, Fixes):
+            self.usable &= motion.known(self.time_s)[m.snapshot]
+            if motion.yaw_rad is None or self.usable.sum() < FEWEST or not self.known[self.usable].all():
                 raise ValueError
         area = np.ptp(self.azimuth[self.usable]) + 1e-3
         if self.ranged:
@@ -94,15 +95,8 @@ class PathEvidence:
 
     def effect_of(self, c: Correction) -> Correction:
         """Return what a correction comes to between measurements and odometry or reference."""
-        own = ("azimuth", "azimuth_zero_rad", "distance", "distance_zero_m")
-        if self.fixes is None:
-            return c.effect("measurements", own)
-        (x, y), (more_x, more_y) = c.reference_arm_m, c.measurements_arm_m
-        return Correction(
-            reference_late_s=c.reference_late_s - c.measurements_late_s,
-            reference_arm_m=(x + more_x, y + more_y),
-            **{field: getattr(c, field) for field in ("reference", "mirrored", *own)},
-        )
+        fields = ("azimuth", "azimuth_zero_rad", "distance", "distance_zero_m")
+        return c.effect(self.motion.table, "measurements", fields)
 
     def change(self, c: Correction) -> Floats:
         """Return by how much an effect raises the log-likelihood (n,); NaN outside of the drive."""
@@ -119,26 +113,19 @@ class PathEvidence:
 
     def _lags(self) -> list[list[int]]:
         """Return lags in snapshots, those by which moments before stand together in one prediction in one list."""
-        poses = self._poses(self.time_s, Correction())
-        known = self.fixes is not None
+        poses = self.motion.poses(self.time_s, Correction())
         self.progress = np.concatenate([[0.0], np.cumsum(np.nan_to_num(_moves(poses)))])
         typical = self.progress[-1] / max(int((np.diff(self.progress) > 1e-6).sum()), 1)
         if typical <= 0.0:
             raise ValueError
-        drifts = np.inf if known else LONGEST_S / float(np.median(np.diff(self.time_s)))
-        longest = max(min(drifts, len(self.time_s) / (LAGS_KNOWN if known else LAGS)), 1.0)
+        drifts = np.inf if self.of_fixes else LONGEST_S / float(np.median(np.diff(self.time_s)))
+        longest = max(min(drifts, len(self.time_s) / (LAGS_KNOWN if self.of_fixes else LAGS)), 1.0)
         lag = int(np.clip(round(1.0 / typical), 1, longest))
-        if np.nansum(_moves(poses[::lag])) < (MOVES_KNOWN if known else MOVES):
+        if np.nansum(_moves(poses[::lag])) < (MOVES_KNOWN if self.of_fixes else MOVES):
             raise ValueError
-        if known:
+        if self.of_fixes:
             return [[lag * 2**k for k in range(int(np.log2(longest / lag)) + 1)]]
         return [[each] for each in sorted({lag, int(min(LONGER * lag, longest))})]
-
-    def _poses(self, times: Floats, c: Correction, yaw_mirrored: bool = False) -> Floats:
-        """Return x, y (m) and yaw (rad), (..., 3), of the array at `times` (...,) in s after an effect; NaN outside."""
-        if self.fixes is None:
-            return self.drive.poses(times + c.odometry_late_s, c, c.odometry_arm_m)
-        return self.fixes.poses(times, c, yaw_mirrored)
 
     def _pairs(self, recording: Recording, lags: Sequence[int]) -> Pairs:
         m, first = recording.measurements, lags[0]
@@ -170,21 +157,21 @@ class PathEvidence:
     def _logs(self, pairs: Pairs, c: Correction, among: NDArray[np.bool_] | bool = True) -> Floats:
         """Return the log-likelihood (n,) of pairs of moments, in units as recorded; NaN outside of the drive."""
         if not c.mirrored:
-            return self._logs_of(pairs, c, among, False)
+            return self._logs_of(pairs, c, among)
         # Of a reference with x and y swapped the yaw may be right, or from north as well.
-        either = [self._logs_of(pairs, c, among, yaw_mirrored) for yaw_mirrored in (False, True)]
+        either = [self._logs_of(pairs, one, among) for one in (c, c.having("yaw_mirrored", True))]
         return max(either, key=lambda logs: float(np.nansum(logs)))
 
-    def _logs_of(self, pairs: Pairs, c: Correction, among: NDArray[np.bool_] | bool, yaw_mirrored: bool) -> Floats:
+    def _logs_of(self, pairs: Pairs, c: Correction, among: NDArray[np.bool_] | bool) -> Floats:
         at = pairs.pair[pairs.at]
-        before, after = (self._poses(t, c, yaw_mirrored) for t in (pairs.before_s, pairs.after_s))
-        moved = _displacement(before, after[at])
+        before, after = (self.motion.poses(t, c) for t in (pairs.before_s, pairs.after_s))
+        moved = displacement(before, after[at])
         inside = np.isfinite(moved).all(axis=1) & np.broadcast_to(among, len(pairs.after_s))[at]
         range_error, azimuth_error = self._innovations(pairs, moved, c)
         # In units as recorded: a correction that shrinks what is recorded is not the better for it.
         jacobian = c.distance if self.ranged else 1.0
         typical = np.median(np.abs(moved[inside]), axis=0) if inside.any() else np.zeros(3)
-        error = ERROR if self.fixes is None else ERROR_KNOWN
+        error = ERROR_KNOWN if self.of_fixes else ERROR
         std_m = max(error * float(np.hypot(typical[0], typical[1])), 10 * LEAST_STD_M)
         std_rad = max(error * float(typical[2]), 0.05)
         range_error, azimuth_error = (np.where(inside, e, np.inf) for e in (range_error, azimuth_error))
@@ -198,15 +185,10 @@ class PathEvidence:
         i, j = pairs.first, pairs.second
         distance = self.distance * c.distance + c.distance_zero_m
         azimuth = self.azimuth * c.azimuth + c.azimuth_zero_rad
-        cos, sin = np.cos(self.elevation[i]), np.sin(self.elevation[i])
-        reach = np.where(self.known[i], distance[i], FAR_M)
-        flat, high = reach * cos, reach * sin
-        x, y = flat * np.cos(azimuth[i]) - moved[:, 0], flat * np.sin(azimuth[i]) - moved[:, 1]
-        change = np.sqrt(x * x + y * y + high * high) - np.abs(reach)
-        turned = wrap_angle(azimuth[j] - np.arctan2(y, x) + moved[:, 2])
-        if not self.ranged:
-            return np.zeros(len(i)), turned
-        return distance[j] - distance[i] - change, turned
+        range_m = np.where(self.known[i], distance[i], FAR_M)
+        change, expected = moved_on(range_m, azimuth[i], self.elevation[i], moved)
+        range_error = distance[j] - distance[i] - change if self.ranged else np.zeros(len(i))
+        return range_error, wrap_angle(azimuth[j] - expected)
 
     def _mixture(
         self, pairs: Pairs, range_error: Floats, azimuth_error: Floats, start: tuple[float, float], jacobian: float
@@ -239,10 +221,3 @@ def _moves(poses: Floats) -> Floats:
     """Return how many steps, or turns, lie between poses (N, 3)."""
     step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     return np.asarray(np.maximum(step / STEP_M, np.abs(np.diff(poses[:, 2])) / TURN_RAD))
-
-
-def _displacement(a: Floats, b: Floats) -> Floats:
-    """Return forward, left and turn (n, 3) from poses a to b (n, 3), in the frame of a."""
-    step = b[:, :2] - a[:, :2]
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    return np.column_stack([c * step[:, 0] + s * step[:, 1], -s * step[:, 0] + c * step[:, 1], b[:, 2] - a[:, 2]])

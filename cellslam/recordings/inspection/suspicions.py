@@ -42,13 +42,6 @@ MOST = 5.0  # log-likelihood that a single stretch may give or take
 NATS, AGREED = 10.0, 0.7  # least gain of all stretches, and how far blocks must agree
 LEAST_GAIN = 0.5  # gain of a stretch that counts as much as any
 AS_WELL, NEARLY = 0.9, 0.8  # shares of another's gain
-TABLES = {
-    "paths": "measured paths and odometry",
-    "sightings": "measured paths and reference",
-    "reference": "reference and odometry",
-    "ranges": "distances and odometry",
-    "places": "distances and reference",
-}
 
 
 @dataclass(frozen=True)
@@ -228,7 +221,7 @@ class Gain(NamedTuple):
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A correction that makes tables agree; `gains`: by evidence."""
+    """A correction that makes tables agree; `gains`: by the name of the evidence."""
 
     explanation: Explanation
     correction: Correction
@@ -269,7 +262,7 @@ def contradictions(recording: Recording) -> Iterator[Suspicion]:
     for rank, x in enumerate([*best[:1], *as_well]):
         kind, text = x.explanation.diagnose(x.correction)
         tables = " and ".join(
-            f"{TABLES[name]} (log-likelihood {g.mean:+.1f} a stretch)" for name, g in x.gains.items() if g.mean > 0.05
+            f"{name} (log-likelihood {g.mean:+.1f} a stretch)" for name, g in x.gains.items() if g.mean > 0.05
         )
         yield Suspicion(kind, f"{'or' if rank else 'it seems that'} {text}; then {tables} agree better")
 
@@ -328,18 +321,14 @@ def _evidence_of(recording: Recording) -> list[Evidence]:
     """Return the comparisons that a recording allows."""
     fixes, drive = _fixes_of(recording), Drive(recording)
     with_odometry = len(recording.time_s) > 2 and not np.isnan(recording.odometry[:, 0]).all()
-    without_angles = np.isnan(recording.measurements.azimuth_rad).all()
+    of_paths = RangeEvidence if np.isnan(recording.measurements.azimuth_rad).all() else PathEvidence
     makers: list[Callable[[], Evidence]] = []
     if with_odometry:
-        makers.append(lambda: PathEvidence(recording, drive))
+        makers.append(lambda: of_paths(recording, drive))
     if with_odometry and fixes is not None:
         makers.append(lambda: ReferenceEvidence(drive, fixes))
-    if fixes is not None and not without_angles:
-        makers.append(lambda: PathEvidence(recording, drive, fixes))
-    if with_odometry and without_angles:
-        makers.append(lambda: RangeEvidence(recording, drive, None))
-    if without_angles and fixes is not None:
-        makers.append(lambda: RangeEvidence(recording, drive, fixes))
+    if fixes is not None:
+        makers.append(lambda: of_paths(recording, fixes))
     found = []
     for make in makers:
         try:

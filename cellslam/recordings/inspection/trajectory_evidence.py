@@ -33,12 +33,12 @@ class ReferenceEvidence:
     A stretch's scale of residuals is free as well: an outlier spoils no more than its own stretch.
     """
 
-    name = "reference"
+    name = "reference and odometry"
 
     def __init__(self, drive: Drive, fixes: Fixes) -> None:
         """Raise ValueError where the fixes are too few."""
         self.drive, times, position_m = drive, fixes.time_s, fixes.position_m
-        here = drive.poses(times, Correction(), (0.0, 0.0))[:, :2]
+        here = drive.places(times, Correction())
         travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(here, axis=0).T))])
         chosen = _stretches(travelled, STRETCH_M, FEWEST, FIXES)
         self.times, self.fixes = times[chosen], position_m[chosen]
@@ -52,7 +52,7 @@ class ReferenceEvidence:
 
     def effect_of(self, c: Correction) -> Correction:
         """Return what a correction comes to between odometry and reference."""
-        return c.effect("reference", ("reference", "mirrored"))
+        return c.effect("odometry", "reference", ("reference", "mirrored"))
 
     def change(self, c: Correction) -> Floats:
         """Return by how much an effect raises the log-likelihood (n,); NaN outside of the drive."""
@@ -63,7 +63,7 @@ class ReferenceEvidence:
 
         In the reference's own units.
         """
-        points = self.drive.poses(self.times + c.odometry_late_s, c, c.odometry_arm_m)[..., :2] / c.reference
+        points = self.drive.places(self.times, c) / c.reference
         if c.mirrored:
             points = points[..., ::-1]
         a = points - points.mean(axis=1, keepdims=True)
@@ -97,10 +97,10 @@ def _stretches(travelled: Floats, length_m: float, fewest: int, points: int) -> 
 class RangeEvidence:
     """Log-likelihood of distances over stretches of the path, given odometry or reference; its place is free."""
 
-    def __init__(self, recording: Recording, drive: Drive, fixes: Fixes | None) -> None:
-        """`fixes`: the reference; None: odometry. Raises ValueError where ranges or fixes are too few."""
-        m, self.drive, self.fixes = recording.measurements, drive, fixes
-        self.name = "ranges" if fixes is None else "places"
+    def __init__(self, recording: Recording, motion: Drive | Fixes) -> None:
+        """Raise ValueError where ranges or fixes are too few."""
+        m, self.motion = recording.measurements, motion
+        self.name = f"distances and {motion.table}"
         rows = np.flatnonzero(~np.isnan(m.distance_m))
         at, links = m.snapshot[rows], m.link[rows]
         if not len(rows) or len(rows) > PATHS * len(np.unique(at * len(recording.links) + links)):
@@ -109,14 +109,14 @@ class RangeEvidence:
         if not known.all():
             raise ValueError
         times = recording.time_s[at]
-        here = self._points(times, Correction())
-        if fixes is not None:
-            times = np.where(fixes.known(times), times, np.nan)
+        here = motion.places(times, Correction())
+        if isinstance(motion, Fixes):
+            times = np.where(motion.known(times), times, np.nan)
         usable = np.isfinite(here).all(axis=1) & np.isfinite(times)
         step = np.hypot(*np.diff(here[usable], axis=0).T)
         travelled = np.full(len(rows), np.nan)
         travelled[usable] = np.concatenate([[0.0], np.cumsum(step)])
-        length = ODOMETRY_M if fixes is None else REFERENCE_M
+        length = REFERENCE_M if isinstance(motion, Fixes) else ODOMETRY_M
         chosen = []
         for link in range(len(recording.links)):
             mine = np.flatnonzero((links == link) & usable)
@@ -133,14 +133,7 @@ class RangeEvidence:
 
     def effect_of(self, c: Correction) -> Correction:
         """Return what a correction comes to between distances and the trajectory."""
-        if self.fixes is None:
-            return c.effect("measurements", ("distance", "distance_zero_m"))
-        return Correction(
-            reference=c.reference,
-            reference_late_s=c.reference_late_s - c.measurements_late_s,
-            distance=c.distance,
-            distance_zero_m=c.distance_zero_m,
-        )
+        return c.effect(self.motion.table, "measurements", ("distance", "distance_zero_m"))
 
     def change(self, c: Correction) -> Floats:
         """Return by how much an effect raises the log-likelihood (n,); NaN outside of the drive."""
@@ -151,17 +144,12 @@ class RangeEvidence:
 
         In units as recorded; NaN outside of the drive.
         """
-        points = self._points(self.times, c)
+        points = self.motion.places(self.times, c)
         inside = np.isfinite(points).all(axis=(1, 2))
         rest = np.full(len(points), np.nan)
         distance = self.distance[inside] * c.distance + c.distance_zero_m
         rest[inside] = _rest(points[inside], distance)
         return np.asarray(-RANGE_DEGREES_OF_FREEDOM * np.log(np.hypot(rest / c.distance, self.floor)))
-
-    def _points(self, times: Floats, c: Correction) -> Floats:
-        if self.fixes is None:
-            return self.drive.poses(times + c.odometry_late_s, c, c.odometry_arm_m)[..., :2]
-        return self.fixes.places(times, c)
 
 
 def _rest(points: Floats, distance: Floats) -> Floats:

@@ -43,12 +43,16 @@ def make(one: SetDefinition, folder: Path, number: int = 1, count: int = 1) -> I
     for split, trial in one.places[number - 1 :: count]:
         paths = _files(one, folder, split, trial)
         if all(path.exists() for path in paths):
-            _check_origin(one, paths[0])
+            if _provenance_of(paths[0]).get("world") != one.scenario.world.model_dump(mode="json"):
+                raise InputError(
+                    f"{paths[0]}: is of another set, or of another version of {one.name}; give another --out"
+                )
             yield 0
             continue
         recording = simulate(one.scenario, one.seeds[split], trial)
         if split != "train" and not one.responses:
-            recording = _with_bound(recording)
+            known = {BOUND: bound(recording).position_rmse_m}
+            recording = replace(recording, provenance={**recording.provenance, **known})
         for path in paths:
             path.parent.mkdir(parents=True, exist_ok=True)
             if path.stem.endswith(RESPONSES):
@@ -128,16 +132,7 @@ def _provenance_of(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: damaged ({error}): delete it, and make the set again") from error
 
 
-def _with_bound(recording: Recording) -> Recording:
-    return replace(recording, provenance={**recording.provenance, BOUND: bound(recording).position_rmse_m})
-
-
 def _hidden(recording: Recording) -> Recording:
     """Return a drive without its truth, and without what says how to simulate it again."""
     kept = {key: value for key, value in recording.provenance.items() if key not in ("seed", "trial", BOUND)}
     return replace(recording, truth=None, provenance=kept)
-
-
-def _check_origin(one: SetDefinition, path: Path) -> None:
-    if _provenance_of(path).get("world") != one.scenario.world.model_dump(mode="json"):
-        raise InputError(f"{path}: is of another set, or of another version of {one.name}; give another --out")

@@ -109,10 +109,10 @@ def test_filters_find_the_beacons(drive: Any, imported: Any, cellslam: Run) -> N
 
 def test_folders_that_are_unclear(drive: Any, cellslam: Run) -> None:
     words = ("import", "--adapter", "plaza", "--out", "a.h5")
-    refused(cellslam(*words, "."), "neither a .mat file nor")
+    refused(cellslam(*words, "."), "holds no file *.mat or *DR.txt")
     made = tables(drive, False)
     for name in ("Plaza1_.mat", "Plaza2_.mat"):
         savemat(name, made)
-    refused(cellslam(*words, "."), "more than one drive (Plaza1_.mat, Plaza2_.mat): give the file of one")
+    refused(cellslam(*words, "."), "more than one file *.mat or *DR.txt (Plaza1_.mat, Plaza2_.mat): leave that of one")
     savemat("Plaza1_.mat", made | {"TD": made["TD"][:, :3]})
     refused(cellslam(*words, "Plaza1_.mat"), "TD has shape")

@@ -11,7 +11,7 @@ from scipy.io import savemat
 from scipy.spatial import cKDTree
 
 from cellslam.recordings.adapters.adapter_loading import import_adapter
-from cellslam.recordings.adapters.tampere import NAME
+from cellslam.recordings.adapters.tampere_60ghz import NAME
 from cellslam.sim.errors import InputError
 
 SOURCES = np.array([[9.0, 1.0], [-25.0, 1.0], [9.0, 13.0], [9.0, -15.0]])  # a transmitter and its mirror images
