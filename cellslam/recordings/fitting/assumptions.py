@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from cellslam.recordings.fitting.fit_noise import unmodelled
+from cellslam.recordings.fitting.fit_noise import shared, unmodelled
 from cellslam.recordings.fitting.fit_sizes import Learnt, learn
 from cellslam.recordings.importing.campaign import KINDS_OF_NOISE
 from cellslam.recordings.importing.manifest import COMMANDS, Commands, Noise
@@ -83,9 +83,12 @@ def _with(
     overrides: Mapping[str, Any],
     limit_s: float,
 ) -> tuple[Request, ...]:
-    """Return the requests with options that all map builders share."""
-    mapping = [r.name for r in requests if isinstance(r.options, MeasurementOptions)]
-    merged = {name: {**origin.options.get(name, {}), **options} for name in mapping}
+    """Return the requests with options of a front end, those that each estimator has."""
+    merged = {
+        r.name: {**origin.options.get(r.name, {}), **shared(options, type(r.options))}
+        for r in requests
+        if isinstance(r.options, MeasurementOptions)
+    }
     return _requests({**origin.options, **merged}, [r.target for r in requests], overrides, limit_s)
 
 

@@ -8,7 +8,9 @@ snapshot and volume.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +32,7 @@ UNKNOWN = {
     **NOTHING_PERSISTS, "noise_floor_m": 0.3, "noise_floor_azimuth_deg": 2.0, "noise_floor_elevation_deg": 2.0,
     "noise_unit_snr_m": 0.0, "noise_unit_snr_azimuth_deg": 0.0, "noise_unit_snr_elevation_deg": 0.0,
     "diffuse_m": 0.1, "diffuse_azimuth_deg": 0.6, "diffuse_elevation_deg": 0.6, "diffuse_scale_m": 1.0,
+    "slip_probability": 0.05,
 }  # fmt: skip
 LEAST_EXTENT_M = 10.0
 LEAST_PERSISTING = 0.3  # of white noise
@@ -62,6 +65,13 @@ def unmodelled(recording: Recording) -> dict[str, float]:
     share, usual = polled_share(recording), MeasurementOptions()
     seldom = {name: share * getattr(usual, name) for name in ("detection_probability", "clutter_density")}
     return {**UNKNOWN, **seldom, "typical_range_m": extent_of(recording)}
+
+
+def shared(options: Mapping[str, Any], model: type | None) -> dict[str, Any]:
+    """Return those of the options of a front end that an estimator's model has; none for one that builds no map."""
+    if model is None or not issubclass(model, MeasurementOptions):
+        return {}
+    return {name: value for name, value in options.items() if name in model.model_fields}
 
 
 def extent_of(recording: Recording) -> float:

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import BaseModel
 
-from cellslam.recordings.fitting.fit_noise import initial_options, unmodelled
+from cellslam.recordings.fitting.fit_noise import initial_options, shared, unmodelled
 from cellslam.recordings.fitting.held_out import Worth, compared, scores
 from cellslam.recordings.importing.campaign import KINDS_OF_NOISE
 from cellslam.recordings.importing.manifest import COMMANDS
@@ -38,7 +38,6 @@ from cellslam.slam.joint import sizes
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.sizes import Sheets, Sizes, keys_of, stepped
-from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
 PASSES, WHOLE = 5, 2  # passes at most; so many take whole steps, the others half of them
 FITS = 2.0  # mean square of the slopes, in their deviations, from which on sizes are as good as right
@@ -72,7 +71,7 @@ class Learnt:
 
     def table(self, model: type[BaseModel] | None) -> dict[str, Any]:
         """Return the options of an estimator, those that its model has; empty for one that shares none."""
-        return self.options if model is not None and issubclass(model, MeasurementOptions) else {}
+        return shared(self.options, model)
 
 
 def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Progress = silent) -> Learnt:
