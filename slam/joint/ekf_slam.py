@@ -16,6 +16,7 @@ Recursion, for odometry u over dt with white noise of density q, and measurement
     average     e of each VT over a block of at most 0.6 s                snapshot/snapshot_kernel.py: take_in
     update      S = L L^T,  G = L^-1 H P,  x <- x + G^T L^-1 e,  P <- P - G^T G
                                                                           snapshot/update_kernel.py: correct, add_up
+    slip, step  of wheels and clocks, as a block shows them   snapshot/steps_kernel.py: take_slip, take_steps
     carry over  P to the new estimate, in directions that nothing measured shows
                                                                           snapshot/gauge_kernel.py: carry_over
     begin, drop VTs: augmented by the inverse of h, marginalised          snapshot/birth_kernel.py
@@ -446,9 +447,13 @@ class JointFilter:
             blocks=BlockLimits(
                 snapshots=min(max(round(o.block_s / step_s), 1), LONGEST), distance=BLOCK_M, turn=TURN
             ),
-            evidence=EVIDENCE, merge_rate=o.merge_rate, scatterers=self._scatterers,
+            evidence=EVIDENCE, slip=_log_odds(o.slip_probability), merge_rate=o.merge_rate, scatterers=self._scatterers,
         )  # fmt: skip
         return tables, self._rules(rules, step_s)
+
+
+def _log_odds(probability: float) -> float:
+    return math.log(probability / (1.0 - probability)) if probability > 0.0 else -math.inf
 
 
 def held_noise(held_s: Floats) -> Floats:

@@ -52,6 +52,9 @@ class EkfSlamOptions(MeasurementOptions):
     step_probability: float = Field(
         1e-6, ge=0, lt=1, description="probability that a site's clock steps within a block, where it may; 0: never"
     )
+    slip_probability: float = Field(
+        0.0, ge=0, lt=1, description="probability that wheels slip within a block, by 30 % of its distance or turn"
+    )
     prune_ratio: float = Field(1e-5, gt=0, lt=1, description="components less likely than the best by this are dropped")
     calibration_file: str | None = Field(
         None, min_length=1, description="file of the array's calibration as an earlier drive found it, to begin with"

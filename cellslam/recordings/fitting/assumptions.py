@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from cellslam.recordings.fitting.fit_noise import unmodelled
+from pydantic import BaseModel
+
+from cellslam.recordings.fitting.fit_noise import known_to, unmodelled
 from cellslam.recordings.fitting.fit_sizes import Learnt, learn
 from cellslam.recordings.importing.campaign import KINDS_OF_NOISE
 from cellslam.recordings.importing.manifest import COMMANDS, Commands, Noise
@@ -55,14 +57,17 @@ def assumed(
     overrides = {key: value for key, value in given.items() if not key.startswith("noise.")}
     sheet = changed_sheet(recording.odometry_model, {k: v for k, v in given.items() if k.startswith("noise.")})
 
-    def requested(shared: Mapping[str, Any], map_builders: Sequence[str]) -> tuple[Request, ...]:
-        """Return the requests, those of `map_builders` with options that these share."""
-        merged = {name: {**origin.options.get(name, {}), **shared} for name in map_builders}
+    def requested(shared: Mapping[str, Any], map_builders: Mapping[str, type[BaseModel]]) -> tuple[Request, ...]:
+        """Return the requests, those of `map_builders` with options that these share, as far as their models have
+        them."""
+        merged = {
+            name: {**origin.options.get(name, {}), **known_to(model, shared)} for name, model in map_builders.items()
+        }
         tables = apply({"estimator": {**origin.options, **merged}}, overrides)["estimator"]
         return external_options.requests(tables, names, overrides, limit_s)
 
-    requests = requested({}, ())
-    mapping = [r.name for r in requests if isinstance(r.options, MeasurementOptions)]
+    requests = requested({}, {})
+    mapping = {r.name: type(r.options) for r in requests if isinstance(r.options, MeasurementOptions)}
     if origin.measured:
         requests = requested(unmodelled(recording), mapping)
     if not (origin.measured and mapping if fit is None else fit):

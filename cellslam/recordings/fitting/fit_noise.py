@@ -8,8 +8,12 @@ snapshot and volume.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import pandas as pd
+from pydantic import BaseModel
 
 from cellslam.recordings.fitting.fit_persisting import NAMES, in_unit, persisting, reach
 from cellslam.recordings.fitting.fit_tracks import QUANTITIES, Tracks, polled_share, robust_std, tracks_of
@@ -28,6 +32,7 @@ UNKNOWN = {
     **NOTHING_PERSISTS, "noise_floor_m": 0.3, "noise_floor_azimuth_deg": 2.0, "noise_floor_elevation_deg": 2.0,
     "noise_unit_snr_m": 0.0, "noise_unit_snr_azimuth_deg": 0.0, "noise_unit_snr_elevation_deg": 0.0,
     "diffuse_m": 0.1, "diffuse_azimuth_deg": 0.6, "diffuse_elevation_deg": 0.6, "diffuse_scale_m": 1.0,
+    "slip_probability": 0.05,
 }  # fmt: skip
 LEAST_EXTENT_M = 10.0
 LEAST_PERSISTING = 0.3  # of white noise
@@ -38,11 +43,22 @@ def unmodelled(recording: Recording) -> dict[str, float]:
     """Return the options (m, deg, s), by name, of a front end that nobody modelled, before anything is learnt.
 
     Where links are polled in turn, a snapshot says nothing of those that were not polled: as nobody knows which these
-    are, detections and clutter are so much rarer. VTs are typically as far away as the drive extends.
+    are, detections and clutter are so much rarer. VTs are typically as far away as the drive extends. Where a recording
+    has deviations of its own measurements, white errors are as large as most of these say.
     """
-    share, usual = polled_share(recording), MeasurementOptions()
-    seldom = {name: share * getattr(usual, name) for name in ("detection_probability", "clutter_density")}
-    return {**UNKNOWN, **seldom, "typical_range_m": extent_of(recording)}
+    share, usual, m = polled_share(recording), MeasurementOptions(), recording.measurements
+    out = UNKNOWN | {"typical_range_m": extent_of(recording)}
+    out |= {name: share * getattr(usual, name) for name in ("detection_probability", "clutter_density")}
+    for name, stated in zip(QUANTITIES, (m.distance_std_m, m.azimuth_std_rad, m.elevation_std_rad), strict=True):
+        if stated is not None and np.isfinite(stated).any():
+            white = in_unit(name, float(np.nanmedian(stated)))
+            out |= {f"noise_floor_{NAMES[name]}": white, f"diffuse_{NAMES[name]}": LEAST_PERSISTING * white}
+    return out
+
+
+def known_to(model: type[BaseModel], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of some options, by name, that an estimator's model has."""
+    return {name: value for name, value in options.items() if name in model.model_fields}
 
 
 def extent_of(recording: Recording) -> float:

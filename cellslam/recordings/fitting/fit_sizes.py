@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellslam.recordings.fitting.fit_noise import initial_options, unmodelled
+from cellslam.recordings.fitting.fit_noise import initial_options, known_to, unmodelled
 from cellslam.recordings.fitting.held_out import Worth, compared, scores
 from cellslam.recordings.importing.campaign import KINDS_OF_NOISE
 from cellslam.recordings.importing.manifest import COMMANDS
@@ -225,14 +225,18 @@ def toml(path: Path, learnt: Learnt) -> str:
     comments = [f"learnt from {path}; cellslam replay takes this file as --options FILE.toml", *in_words(learnt)]
     models = {entry.name: registry.options_model(registry.resolve(entry.name)) for entry in registry.BUILT_IN}
     options = {key: _rounded(value) for key, value in learnt.options.items()}
-    sharing = [name for name, model in models.items() if model is not None and issubclass(model, MeasurementOptions)]
+    own = {
+        name: known_to(model, options)
+        for name, model in models.items()
+        if options and model is not None and issubclass(model, MeasurementOptions)
+    }
     sheet, noise = learnt.odometry_model, dict[str, dict[str, Any]]()
     if sheet.time_constant_s:
         noise[COMMANDS] = {"time_constant_s": _rounded(sheet.time_constant_s)}
     for i, component in enumerate(COMPONENTS):
         values = {kind: _rounded(float(getattr(sheet, kind)[i])) for kind in KINDS_OF_NOISE}
         noise |= {component: values} if any(values.values()) else {}
-    tables = {"estimator": dict.fromkeys(sharing if options else (), options), "noise": noise}
+    tables = {"estimator": own, "noise": noise}
     text = tomli_w.dumps({name: table for name, table in tables.items() if table})
     return "".join(f"# {line}\n" for line in comments) + "\n" + text
 

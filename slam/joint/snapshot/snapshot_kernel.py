@@ -23,7 +23,7 @@ from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
 from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, forget, move
 from cellslam.slam.joint.snapshot.observation_kernel import Jacobian, coordinates, geometry, new_jacobian, rotations_of
 from cellslam.slam.joint.snapshot.sizes_kernel import SWAY, count_motion, count_states
-from cellslam.slam.joint.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
+from cellslam.slam.joint.snapshot.steps_kernel import expect_steps, shift_clocks, take_slip, take_steps
 from cellslam.slam.joint.snapshot.tentative_kernel import update_hypotheses
 from cellslam.slam.joint.snapshot.update_kernel import (
     LOG_2PI,
@@ -252,7 +252,8 @@ def count_nis(
 
 @part
 def begin_update(f: Filter, a: ArrayErrors, b: Block, seen: Measured, p: Pending) -> None:
-    """Begin the update by a block: what persists is redrawn in part, paths may have merged, clocks stepped."""
+    """Begin the update by a block: what persists is redrawn in part, paths may have merged, clocks stepped, wheels
+    slipped."""
     forget(f, a, b.track.total[0], b.track.total[2])
     if seen.rules.merge_rate > 0.0:
         expect_merging(f, seen.rules.merge_rate, b.track.total[2])
@@ -306,12 +307,12 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Jaco
 
 @part
 def end_update(f: Filter, a: ArrayErrors, b: Block, before: Floats, noise: Floats, seen: Measured, p: Pending) -> float:
-    """End the update that began in the state `before` (n,): clocks step, what persists is counted, VTs are dropped;
-    return the log-likelihood of all but VTs.
+    """End the update that began in the state `before` (n,): slip and steps are taken in, what persists is counted, VTs
+    are dropped; return the log-likelihood of all but VTs.
 
     noise (6,): densities of the odometry's.
     """
-    total = take_steps(f, seen.rules, p.steps)
+    total = take_slip(f, seen.rules, p.steps, b.track.total) + take_steps(f, seen.rules, p.steps)
     carry_over(f, before, p.rows)
     count_states(f, f.core.sway, SWAY, a.sway * a.sway)
     count_motion(f, noise, b.track.total[2])
@@ -365,7 +366,7 @@ def advance_mixture(
 def new_workspace(f: Filter, m: int, pending: int) -> Workspace:
     """Return memory to work in, for one filter, a snapshot of m measurements, and so many rows that are pending."""
     states, vts, particles = len(f.x), len(f.vts.slots), len(f.particles.weight)
-    assignment, rows = 4 * (vts + m + 2), len(f.core.step_m) + 1
+    assignment, rows = 4 * (vts + m + 2), len(f.core.step_m) + 2
     steps = Steps(
         used=np.zeros(1, np.int64), left=np.zeros((rows, states)), score=np.zeros(rows), information=np.zeros(rows)
     )

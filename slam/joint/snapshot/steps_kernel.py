@@ -1,4 +1,4 @@
-"""Compiled: steps of clocks, found by what all measurements of a site are off by together.
+"""Compiled: steps of clocks and slip of wheels, found by what measurements are off by together.
 
 A small step leaves its mark in a block's innovations: of a unit step at the block's begin, `left` of a state's error is
 still to be corrected after some updates, and H left is what the next innovation shows of it. The ratio of likelihoods
@@ -6,11 +6,19 @@ with and without a step, times the probability of a step in a block, decides. If
 one, so that by Markov's inequality the probability of a false alarm is no greater than that probability. Wheels that
 slip put all sites off: what a shift of the vehicle along its path explains as well is no step.
 
+Slip that lasts some seconds moves a vehicle by far more than the odometry's white noise, block after block. Along the
+path and in heading it has a deviation of SLIP of the distance and turn of a block. As slip is common, no decision is
+made: with the odds o of a slip, prior odds times the ratio of likelihoods, the state is the mixture of both, by its two
+moments:
+
+    q = o / (1 + o),   x <- x + q m l,   P <- P + q (v + (1 - q) m^2) l l^T,     m, v: size of the slip; l: what is left
+
 A large step takes all measurements out of the gates. That one shift of the distances would explain what no confirmed VT
 does is evidence in the same way, at once where several measurements agree, in a few snapshots where a site has but one.
 
-Source: Willsky and Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
-systems", IEEE Trans. Automatic Control 21(1), 1976.
+Sources: Willsky and Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
+systems", IEEE Trans. Automatic Control 21(1), 1976; Bar-Shalom, Li and Kirubarajan (2001), section 11.6, for the
+mixture that is made one Gaussian (generalized pseudo-Bayesian estimator of first order).
 """
 
 from __future__ import annotations
@@ -19,6 +27,7 @@ import math
 from typing import NamedTuple
 
 from cellslam.sim.compiling import lean
+from cellslam.sim.recording import Floats
 from cellslam.slam.joint.snapshot.association_kernel import Pairs, associate, difference, expect
 from cellslam.slam.joint.snapshot.observation_kernel import Jacobian, rotations_of
 from cellslam.slam.joint.snapshot.update_kernel import Steps, innovate
@@ -27,6 +36,8 @@ from cellslam.slam.joint.state.layout import HITS, LAST, LINK, ArrayErrors, Bloc
 AGREE = 2  # measurements whose agreement on a shift is evidence at once
 ALONE = 3.0  # a lone measurement can give this part of the evidence needed in a snapshot, so that it takes several
 SLIP_M = 1.0  # deviation of how far slipping wheels shift the vehicle in a block
+SLIP = 0.3  # deviation of the share of a block's distance, and of its turn, that wheels report beside when they slip
+NO_SLIP = 0.01  # probability below which a slip changes nothing
 RECENT = 16  # snapshots after which a VT that was seen no more is not evidence alone: another may be in its direction
 
 
@@ -42,7 +53,7 @@ class Shift(NamedTuple):
 
 @lean
 def expect_steps(f: Filter, rules: Rules, steps: Steps) -> None:
-    """Begin a block: nothing of a unit step of a clock, or shift of the vehicle along its path, is corrected."""
+    """Begin a block: nothing is corrected of a unit step of a clock, or of a unit slip along the path or in heading."""
     sites = len(f.core.step_m)
     steps.used[0] = 0
     steps.left[:] = 0.0
@@ -52,6 +63,34 @@ def expect_steps(f: Filter, rules: Rules, steps: Steps) -> None:
         if f.core.step_m[site] > 0.0 and rules.step > -math.inf:
             steps.used[0] = sites + 1
     steps.left[sites, 0], steps.left[sites, 1] = math.cos(f.x[3]), math.sin(f.x[3])
+    steps.left[sites + 1, 3] = 1.0
+    if rules.slip > -math.inf:
+        steps.used[0] = sites + 2
+
+
+@lean
+def take_slip(f: Filter, rules: Rules, steps: Steps, moved: Floats) -> float:
+    """End a block: correct the state by a slip of the wheels, as likely as it is; return what that adds to the
+    log-likelihood.
+
+    moved: distance (m) and turn (rad) of the block, as reported.
+    """
+    total, n, sites = 0.0, f.size[0], len(f.core.step_m)
+    for c in range(2):
+        std = SLIP * abs(moved[c])
+        if rules.slip == -math.inf or std == 0.0:
+            continue
+        found, left = _likely_size(steps, sites + c, std), steps.left[sites + c]
+        odds = math.exp(min(rules.slip + found.gain, 100.0))
+        q = odds / (1.0 + odds)
+        if q > NO_SLIP:
+            variance = q * (found.variance + (1.0 - q) * found.size**2)
+            for i in range(n):
+                f.x[i] += q * left[i] * found.size
+                for j in range(n):
+                    f.p[i, j] += left[i] * variance * left[j]
+        total += math.log1p(odds) - math.log1p(math.exp(rules.slip))
+    return total
 
 
 @lean

@@ -211,8 +211,9 @@ class Rules(NamedTuple):
     """Options of the compiled filters, by what they are about.
 
     `evidence`: share of detections and misses that counts in the log-likelihood; `step`: log-probability that a clock
-    which may step does so in a block; `merge_rate`: how often another path merges with that of a VT, 1/s; 0: never;
-    `scatterers`: whether a VT may be a scatterer, or nothing that a filter has a model of: its track score confirms it.
+    which may step does so in a block; `slip`: log-odds that wheels slip in one; `merge_rate`: how often another path
+    merges with that of a VT, 1/s; 0: never; `scatterers`: whether a VT may be a scatterer, or nothing that a filter has
+    a model of: its track score confirms it.
     """
 
     association: Association
@@ -221,6 +222,7 @@ class Rules(NamedTuple):
     evidence: float
     existence: Existence = Existence()
     step: float = -math.inf
+    slip: float = -math.inf
     merge_rate: float = 0.0
     scatterers: bool = False
 

@@ -1,4 +1,4 @@
-"""Steps of clocks: found as by the textbook filter whose offset is open, with no more false alarms than stated."""
+"""Steps of clocks and slip of wheels: found as by the textbook filter for which offset or motion is open."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from cellslam.sim.compiling import njit
 from cellslam.slam.joint.snapshot.observation_kernel import rotations_of
-from cellslam.slam.joint.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
+from cellslam.slam.joint.snapshot.steps_kernel import SLIP, expect_steps, shift_clocks, take_slip, take_steps
 from cellslam.slam.joint.snapshot.update_kernel import BlockMeasurement, add_up, correct
 from cellslam.slam.joint.state.layout import LAST
 from cellslam.slam.model.matrices_kernel import Vec3
@@ -28,9 +28,9 @@ def prepared(one_filter, **rules):
 
 
 @njit
-def block(f, errors, offset, z, q, rules, sight, pending):
-    """Take a measurement (3,) at each VT in as one block; return their log-density, and what the decision on steps
-    adds."""
+def block(f, errors, offset, z, q, rules, sight, pending, moved):
+    """Take a measurement (3,) at each VT in as one block; return their log-density, and what slip and the decision on
+    steps add."""
     expect_steps(f, rules, pending.steps)
     total = 0.0
     for j in range(len(z)):
@@ -39,13 +39,15 @@ def block(f, errors, offset, z, q, rules, sight, pending):
         )
         total += correct(f, errors, j, offset, measurement, 1.0, rules, sight, pending)
     add_up(f, pending)
-    return total, take_steps(f, rules, pending.steps)
+    return total, take_slip(f, rules, pending.steps, moved) + take_steps(f, rules, pending.steps)
 
 
-def use(one, z):
-    """Take measurements z (m, 3) at all VTs in as one block; return what it adds to the log-likelihood, and steps
-    alone."""
-    density, steps = block(one.f, one.errors, one.offset, z, Q, one.rules, one.w.jacobian, one.w.pending)
+def use(one, z, moved=(0.0, 0.0)):
+    """Take measurements z (m, 3) at all VTs in as one block of so long a distance (m) and turn (rad); return what it
+    adds to the log-likelihood, and slip and steps alone."""
+    density, steps = block(
+        one.f, one.errors, one.offset, z, Q, one.rules, one.w.jacobian, one.w.pending, np.array(moved)
+    )
     return density + steps, steps
 
 
@@ -66,6 +68,49 @@ def test_a_step_is_found_as_if_the_offset_had_been_open(one_filter, kalman):
     std = np.sqrt(np.diag(p))
     assert np.abs((one.f.x[: one.n] - x) / std).max() < 1e-9
     np.testing.assert_allclose(one.f.p[: one.n, : one.n] / np.outer(std, std), p / np.outer(std, std), atol=1e-9)
+
+
+def moments(one_filter, slip, moved):
+    """Return mean, covariance and log-likelihood after a block in which all VTs are off as by a slip."""
+    one, root = prepared(one_filter, slip=slip)
+    one.spread(root)
+    total, _ = use(one, np.array([one.model(j)[0] + [0.4, -0.05, 0.0] for j in range(len(VTS))]), moved)
+    return one.f.x[: one.n].copy(), one.f.p[: one.n, : one.n].copy(), total
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moved", [(0.6, 0.0), (0.0, -0.3)])
+def test_slip_that_is_certain_is_noise_of_the_odometry(one_filter, kalman, moved):
+    """Mean, covariance and likelihood are those of a motion whose distance or turn has the deviation of a slip."""
+    one, root = prepared(one_filter)
+    p, x, total = one.spread(root), one.f.x[: one.n].copy(), 0.0
+    by = np.zeros(one.n)
+    by[[0, 1, 3]] = moved[0] * np.cos(POSE[3]), moved[0] * np.sin(POSE[3]), moved[1]
+    p, start = p + SLIP**2 * np.outer(by, by), x.copy()
+    for _, h in [one.model(j) for j in range(len(VTS))]:
+        x, p, density = kalman(x, p, h, np.array([0.4, -0.05, 0.0]) - h @ (x - start), Q)
+        total += density
+    mean, covariance, found = moments(one_filter, 40.0, moved)
+    std = np.sqrt(np.diag(p))
+    assert np.abs((mean - x) / std).max() < 1e-6
+    np.testing.assert_allclose(covariance / np.outer(std, std), p / np.outer(std, std), atol=1e-6)
+    assert found == pytest.approx(total, abs=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_slip_that_may_be_is_a_mixture(one_filter, share):
+    """With prior odds for which a slip has this probability after the block, its two moments are the mixture's."""
+    moved = (0.6, 0.0)
+    (none, p_none, without), (slipped, p_slipped, with_slip) = (moments(one_filter, s, moved) for s in (-np.inf, 40.0))
+    log_odds = np.log(share / (1.0 - share)) - (with_slip - without)
+    mean, covariance, total = moments(one_filter, log_odds, moved)
+    np.testing.assert_allclose(mean, none + share * (slipped - none), atol=1e-9)
+    apart = np.outer(slipped - none, slipped - none)
+    mixture = (1.0 - share) * p_none + share * p_slipped + share * (1.0 - share) * apart
+    np.testing.assert_allclose(covariance, mixture, atol=1e-9)
+    prior = 1.0 / (1.0 + np.exp(-log_odds))
+    assert total == pytest.approx(np.logaddexp(np.log1p(-prior) + without, np.log(prior) + with_slip), abs=1e-9)
 
 
 @pytest.mark.slow
