@@ -309,11 +309,16 @@ class JointFilter:
         """Of how many blocks the odometry's noise is a part of the state, since it will be drawn."""
         return 0
 
-    @property
-    def _log_step(self) -> float:
-        """Log-probability that a clock steps in a block; while offsets are wide none is looked for."""
-        sought = self._start is None and self.options.step_probability > 0.0
-        return math.log(self.options.step_probability) if sought else -math.inf
+    def _jumps(self, rules: Rules) -> Rules:
+        """Return rules by which clocks may step, and wheels slip: while offsets are wide, both would explain what a
+        wrong offset is off by."""
+        step, slip = self.options.step_probability, self.options.slip_probability
+        if self._start is None:
+            rules = rules._replace(
+                step=math.log(step) if step > 0.0 else -math.inf,
+                slip=math.log(slip / (1.0 - slip)) if slip > 0.0 else -math.inf,
+            )
+        return rules
 
     def _map(self, filters: Sequence[tuple[Mixture, int]]) -> VtEstimate | None:
         """Return the confirmed VTs of some filters of mixtures, with those that were displaced."""
@@ -424,7 +429,7 @@ class JointFilter:
         (tables, rules), site = self._by_step[key], self._setup.links.site
         first = np.searchsorted(measurements.link, np.arange(len(site) + 1))  # of each link, and behind the last
         news = novelty(self._fusion.options, odometry[3] * dt_s, odometry[0] * dt_s)
-        rules = rules._replace(evidence=max(EVIDENCE, news), step=self._log_step)
+        rules = self._jumps(rules._replace(evidence=max(EVIDENCE, news)))
         return Measured(
             now=self._now, born=self._born, first=first, site_of=site,
             given=self._given(measurements), z=v.z, gap=v.gap, tables=tables,
@@ -447,13 +452,9 @@ class JointFilter:
             blocks=BlockLimits(
                 snapshots=min(max(round(o.block_s / step_s), 1), LONGEST), distance=BLOCK_M, turn=TURN
             ),
-            evidence=EVIDENCE, slip=_log_odds(o.slip_probability), merge_rate=o.merge_rate, scatterers=self._scatterers,
+            evidence=EVIDENCE, merge_rate=o.merge_rate, scatterers=self._scatterers,
         )  # fmt: skip
         return tables, self._rules(rules, step_s)
-
-
-def _log_odds(probability: float) -> float:
-    return math.log(probability / (1.0 - probability)) if probability > 0.0 else -math.inf
 
 
 def held_noise(held_s: Floats) -> Floats:
