@@ -17,8 +17,9 @@ A large step takes all measurements out of the gates. That one shift of the dist
 does is evidence in the same way, at once where several measurements agree, in a few snapshots where a site has but one.
 
 Sources: Willsky and Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
-systems", IEEE Trans. Automatic Control 21(1), 1976; Bar-Shalom, Li and Kirubarajan (2001), section 11.6, for the
-mixture that is made one Gaussian (generalized pseudo-Bayesian estimator of first order).
+systems", IEEE Trans. Automatic Control 21(1), 1976; Bar-Shalom, Li and Kirubarajan, Estimation with
+Applications to Tracking and Navigation, 2001, section 11.6, for the mixture that is made one Gaussian (generalized
+pseudo-Bayesian estimator of first order).
 """
 
 from __future__ import annotations

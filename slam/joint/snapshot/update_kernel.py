@@ -65,9 +65,10 @@ UNRESOLVED = (9.2, 0.27, 0.28)  # so near, in m and rad: what an LTE front end w
 
 
 class Steps(NamedTuple):
-    """What a block says of steps of the S clocks, and of a shift of the vehicle along its path, at its begin: of a unit
-    step, what is `left` (S + 1, n) to be corrected in each state; `score` (S + 1,), the slope of the log-likelihood by
-    the step, 1/m, and its `information` (S + 1,), 1/m^2. Rows `used` (1,): none where no clock may step."""
+    """What a block says of steps of the S clocks, and of shifts of the vehicle along its path and in heading, at its
+    begin: of a unit step or shift, in m or rad, what is `left` (S + 2, n) to be corrected in each state; the slope of
+    the log-likelihood by it, `score` (S + 2,), and its `information` (S + 2,). Rows `used` (1,): none where neither
+    clocks step nor wheels slip."""
 
     used: Ints
     left: Floats
