@@ -173,9 +173,9 @@ class Pass(NamedTuple):
 
 def _found(recording: Recording, sheets: Sheets) -> Sizes | None:
     """Return what ekf-slam finds of sizes on a drive; None: clock offsets are never resolved."""
-    # What is counted for paths that merge makes other errors of angles look smaller than they are; and slopes are to be
-    # against the sheets, not against diffuse errors that grow.
-    estimator = EkfSlam(sheets.options.model_copy(update={"merge_rate": 0.0}))
+    # What is counted for paths that merge makes other errors of angles look smaller than they are, and what is counted
+    # for slip those of the odometry; and slopes are to be against the sheets, not against diffuse errors that grow.
+    estimator = EkfSlam(sheets.options.model_copy(update={"merge_rate": 0.0, "slip_probability": 0.0}))
     estimator.grows = False
     recording = replace(recording, odometry_model=sheets.odometry)
     estimator.start(setup_of(recording), np.random.default_rng(0))
