@@ -19,7 +19,7 @@ from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.recording import Recording
 
 CHANCE = 1.2  # of two estimates that are about as good
-DRIVES, LONG = 3, ("trees by bad odometry", "cellular")  # of long ones one
+DRIVES, LONG = 5, ("trees by bad odometry", "cellular")  # of long ones one
 
 
 @pytest.fixture
