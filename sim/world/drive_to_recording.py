@@ -126,7 +126,7 @@ def provenance(config: WorldConfig, seed: int, trial: int) -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Return the versions of what recordings and rows depend on."""
-    packages = ("cellslam", "numpy", "numba", "scipy", "embreex")
+    packages = ("cellslam", "numpy", "numba", "scipy", "embreex", "highway-env")
     return {name: version(name) for name in packages} | {"python": platform.python_version()}
 
 

@@ -170,6 +170,7 @@ def _text_columns(path: Path, head: Head) -> dict[str, Any]:
             frame = pd.read_csv(
                 path, sep=head.separator or r"\s+", skipinitialspace=True, index_col=False, low_memory=False,
                 header=0 if head.named_first else None, names=names, skiprows=list(head.comments) or None,
+                float_precision="round_trip",
             )  # fmt: skip
     except pd.errors.ParserError as error:
         reason = str(error).removeprefix("Error tokenizing data. C error: ").strip()

@@ -77,9 +77,11 @@ def take_slip(f: Filter, rules: Rules, steps: Steps, moved: Floats) -> float:
     moved: distance (m) and turn (rad) of the block, as reported.
     """
     total, n, sites = 0.0, f.size[0], len(f.core.step_m)
+    if rules.slip == -math.inf:
+        return total
     for c in range(2):
         std = SLIP * abs(moved[c])
-        if rules.slip == -math.inf or std == 0.0:
+        if std == 0.0:
             continue
         found, left = _likely_size(steps, sites + c, std), steps.left[sites + c]
         odds = math.exp(min(rules.slip + found.gain, 100.0))

@@ -25,7 +25,7 @@ from cellslam.sim.waveform.waveform import Waveform
 from tools.front_end_reference import doppler_phasors, fisher_information, frequency_response, joint_std
 
 evaluate, correlate, standing_out, local_level, level_around = (
-    njit(part, cache=True)
+    njit(getattr(part, "py_func", part), cache=True)  # a part is compiled already where Numba has no parts
     for part in (
         fit_kernel.evaluate, fit_kernel.correlate, search_kernel.standing_out, search_kernel.local_level,
         search_kernel.level_around,
