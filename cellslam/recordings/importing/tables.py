@@ -156,7 +156,10 @@ def _text_columns(path: Path, head: Head) -> dict[str, Any]:
     import warnings
 
     import pandas as pd
+    from packaging.version import Version
 
+    # Before version 3.1 pandas reads numbers to their last digit only where it is asked to.
+    exact: dict[str, Any] = {} if Version(pd.__version__) >= Version("3.1") else {"float_precision": "round_trip"}
     cells = (
         "give every line as many cells as the header or first line, or say 'delimiter' (numbers have decimal points)"
     )
@@ -170,7 +173,7 @@ def _text_columns(path: Path, head: Head) -> dict[str, Any]:
             frame = pd.read_csv(
                 path, sep=head.separator or r"\s+", skipinitialspace=True, index_col=False, low_memory=False,
                 header=0 if head.named_first else None, names=names, skiprows=list(head.comments) or None,
-                float_precision="round_trip",
+                **exact,
             )  # fmt: skip
     except pd.errors.ParserError as error:
         reason = str(error).removeprefix("Error tokenizing data. C error: ").strip()
