@@ -95,13 +95,13 @@ def _write(file: h5py.File, column: Column, value: Any, step: Any) -> None:
     """Write a column; `step`: of its values where it is packed (`packing.step_of`), None where it is not."""
     if column.kind == "text":
         text = value if column.shape == () else np.array(value, dtype=object)
-        dataset = file.create_dataset(column.path, data=text, dtype=h5py.string_dtype("utf-8"), track_times=False)
+        dataset = file.create_dataset(column.path, data=text, dtype=h5py.string_dtype("utf-8"))
     else:
         array = np.asarray(value, np.int64 if column.kind == "int" else np.float64, order="C")
         stored = Packed(array) if step is None else packed(array, step)
         compressed = array.size > 4096 and (step is None or column.path == SNAPSHOT)
         filters = {"compression": "gzip", "shuffle": True, "fletcher32": True} if compressed else {}
-        dataset = file.create_dataset(column.path, data=stored.codes, track_times=False, **filters)
+        dataset = file.create_dataset(column.path, data=stored.codes, **filters)
         if stored.scale is not None:
             dataset.attrs[SCALE], dataset.attrs[OFFSET] = stored.scale, stored.offset
     dataset.attrs["unit"] = column.unit
