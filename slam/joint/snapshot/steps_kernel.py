@@ -7,8 +7,8 @@ one, so that by Markov's inequality the probability of a false alarm is no great
 slip put all sites off: what a shift of the vehicle along its path explains as well is no step.
 
 Slip that lasts some seconds moves a vehicle by far more than the odometry's white noise, block after block. Along the
-path and in heading it has a deviation of SLIP of the distance and turn of a block. As slip is common, no decision is
-made: with the odds o of a slip, prior odds times the ratio of likelihoods, the state is the mixture of both, by its two
+path and in heading its deviation is a share, SLIP, of the distance and turn that a block reports. As slip is common, no
+decision is made: with the odds o of a slip, prior odds times the ratio of likelihoods, the state is the mixture of both, by its two
 moments:
 
     q = o / (1 + o),   x <- x + q m l,   P <- P + q (v + (1 - q) m^2) l l^T,     m, v: size of the slip; l: what is left
@@ -36,8 +36,8 @@ from cellslam.slam.joint.state.layout import HITS, LAST, LINK, ArrayErrors, Bloc
 
 AGREE = 2  # measurements whose agreement on a shift is evidence at once
 ALONE = 3.0  # a lone measurement can give this part of the evidence needed in a snapshot, so that it takes several
-SLIP_M = 1.0  # deviation of how far slipping wheels shift the vehicle in a block
-SLIP = 0.3  # deviation of the share of a block's distance, and of its turn, that wheels report beside when they slip
+SLIP_M = 1.0  # deviation of how far slipping wheels shift the vehicle in a block: what this explains is no step
+SLIP = 0.3  # deviation of a slip along the path, and in heading, as a share of the block's distance and turn
 NO_SLIP = 0.01  # probability below which a slip changes nothing
 RECENT = 16  # snapshots after which a VT that was seen no more is not evidence alone: another may be in its direction
 
