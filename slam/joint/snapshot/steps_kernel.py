@@ -8,8 +8,8 @@ slip put all sites off: what a shift of the vehicle along its path explains as w
 
 Slip that lasts some seconds moves a vehicle by far more than the odometry's white noise, block after block. Along the
 path and in heading its deviation is a share, SLIP, of the distance and turn that a block reports. As slip is common, no
-decision is made: with the odds o of a slip, prior odds times the ratio of likelihoods, the state is the mixture of both, by its two
-moments:
+decision is made: with the odds o of a slip, prior odds times the ratio of likelihoods, the state is the mixture of
+both, by its two moments:
 
     q = o / (1 + o),   x <- x + q m l,   P <- P + q (v + (1 - q) m^2) l l^T,     m, v: size of the slip; l: what is left
 
