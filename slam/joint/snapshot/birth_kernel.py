@@ -32,6 +32,7 @@ from cellslam.slam.joint.snapshot.observation_kernel import (
     errors_of,
     geometry,
     position_of,
+    put_three,
     put_vt,
     range_factor,
     roof_first,
@@ -80,9 +81,11 @@ from cellslam.slam.model.matrices_kernel import (
     Mat3,
     Sym3,
     Vec3,
+    columns,
     congruence,
     dot,
     mat_mat,
+    mat_minus,
     mat_vec,
     put_sym,
     scaled,
@@ -98,6 +101,7 @@ AROUND, AHEAD = 20, 7  # hypotheses of an azimuth, of a distance
 FIRST_M, FARTHER = 15.0, 2.0  # first distance, ratio of one to the next
 WIDTH = 0.5  # deviation of a hypothesis, in distances of neighbours
 LEAST_OPENING = 0.05  # of 1 + cosine of the directions to a scatterer: on the line of sight its place is unknown
+NOTHING = Vec3(0.0, 0.0, 0.0)
 IDENTITY = Mat3(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 NEARER = 3.0  # deviations by which a VT is surely nearer than another one
 
@@ -224,7 +228,13 @@ def scatterer_of(f: Filter, b: Block, j: int, s: Jacobian, w: Pending) -> None:
 
     With the ray u and e from the illuminator l to the scatterer, unit vectors, and r how far VT j is,
 
-        dd (1 + u e) = dr - d (du e) + e dl,    du by the direction of VT j, dl by the states of the illuminator
+        dd (1 + u e) = dr - d (du e) + e dl,    du by the direction of VT j
+
+    All are as the receiver sees them, which stands beside the anchor by the vehicle's error dq = dp + J (anchor - p)
+    dpsi. With v and v_j the coordinates of scatterer and VT j, and places as index, an error of all three places by dq
+    shifts the scatterer by dq, too: beside v_j and l, v depends on the receiver by
+
+        dv = (dv/dplace - dv/dv_j dv_j/dplace - dv/dl) dq
     """
     first, new, illuminator = f.size[0], f.count[0], f.illuminators[f.vts.slots[j, LINK]]
     if illuminator < 0 or illuminator == j or new == len(f.vts.slots) or first + 3 > len(f.x):
@@ -243,9 +253,19 @@ def scatterer_of(f: Filter, b: Block, j: int, s: Jacobian, w: Pending) -> None:
     enter_vt(f, new)
     f.x[first], f.x[first + 1], f.x[first + 2] = d, vt.azimuth, vt.elevation
     du = vec_scaled(transposed_vec(cartesian_jacobian(d, vt.azimuth, vt.elevation), e), 1.0 / opening)
-    dl = vec_scaled(transposed_vec(cartesian_jacobian(its.distance, its.azimuth, its.elevation), e), 1.0 / opening)
-    put_vt(s, f.vts.state[j], Mat3(1.0 / opening, -du.y, -du.z, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
-    put_vt(s, f.vts.state[illuminator], Mat3(dl.x, dl.y, dl.z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    by_vt = Mat3(1.0 / opening, -du.y, -du.z, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    by_illuminator = Mat3(e.x / opening, e.y / opening, e.z / opening, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    by_receiver = mat_minus(spherical_jacobian(vec_scaled(u, d)), mat_mat(by_vt, spherical_jacobian(vec_scaled(u, r))))
+    by_receiver = mat_minus(by_receiver, by_illuminator)
+    by_yaw = mat_vec(by_receiver, Vec3(f.x[1] - anchor.y, anchor.x - f.x[0], 0.0))
+    put_three(s, 0, by_receiver)
+    put_three(s, 3, columns(by_yaw, NOTHING, NOTHING))
+    put_vt(s, f.vts.state[j], by_vt)
+    put_vt(
+        s,
+        f.vts.state[illuminator],
+        mat_mat(by_illuminator, cartesian_jacobian(its.distance, its.azimuth, its.elevation)),
+    )
     correlate(f, first, IDENTITY, Vec3(0.0, 0.0, 0.0), s, w)
     f.vts.anchor[j, WEIGHT], f.vts.slots[j, ILLUMINATOR] = 0.5, illuminator
     put(f.vts.anchor[new], f.vts.anchor[j])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,10 @@ from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Floats
 from cellslam.slam.joint.ekf_slam import EkfSlam
+from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
 from tests.slam.driving import driven
+from tests.slam.scattered_worlds import WHITE, world
 
 POSE = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2])
 VTS, ANCHOR = ([90.0, 2.5, 0.3], [40.0, -1.0, -0.1]), (-4.0, 6.0, 2.0)
@@ -88,3 +91,19 @@ def test_a_heading_that_nothing_tells_does_not_get_better() -> None:
     recording = simulate(load("lund-530", {**unknown, **short}), 79500, 0)
     answer = driven(EkfSlam(), recording)[-1]
     assert np.degrees(np.sqrt(answer.covariance[3, 3])) == pytest.approx(10.0, abs=0.05)
+
+
+def test_a_start_that_is_not_known_changes_no_estimate() -> None:
+    """Among mirror images and scatterers: whatever is believed of where the world's frame lies, the drive and the map
+    within are the same, and as uncertain."""
+    recording, unknown = world(5, 0.5, features=20, steps=120).recording, np.radians([0.0, 0.0, 0.0, 6.0, 0.0, 0.0])
+    unknown[:2] = 2.0
+    sure, unsure = (
+        driven(EkfSlam(EkfSlamOptions(**WHITE)), replace(recording, start_std=std)) for std in (np.zeros(6), unknown)
+    )
+    for one, other in zip(sure, unsure, strict=True):
+        np.testing.assert_allclose(other.pose, one.pose, atol=1e-4)
+        x, y = other.pose[:2] - recording.start_pose[:2]
+        shift = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
+        more, plane = shift @ np.diag(unknown[[0, 1, 3]] ** 2) @ shift.T, np.ix_([0, 1, 3], [0, 1, 3])
+        np.testing.assert_allclose(other.covariance[plane], one.covariance[plane] + more, rtol=1e-3, atol=1e-4)

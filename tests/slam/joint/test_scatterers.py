@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cellslam.recordings import Campaign
 from cellslam.recordings.importing.campaign import build
@@ -55,27 +56,30 @@ def test_a_scatterer_begins_where_the_ray_meets_the_ellipsoid(one_filter: type[O
     one.put(np.zeros(6), 0.0, TRANSMITTER, (20.0, -0.9, 0.05), anchor=(1.0, 2.0, 0.0))
     one.f.vts.slots[:2, IDENT], one.f.illuminators[0] = [5, 6], 0
     p = one.spread(0.1 * np.random.default_rng(1).standard_normal((one.n, one.n)))
-    n = one.n
+    n, anchor = one.n, one.f.vts.anchor[1, :3]
 
-    def length(x: Floats) -> Floats:
-        """Return the scatterer's coordinates for a state x, by bisection."""
+    def begun(x: Floats) -> Floats:
+        """Return the scatterer's coordinates for a state x, by bisection; the receiver goes with the vehicle."""
         kept, one.f.x[:n] = one.f.x[:n].copy(), x
-        illuminator, anchor = one.place(0), one.f.vts.anchor[1, :3]
-        total, az, el = x[one.f.vts.state[1, :3]]
-        u = np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
+        receiver = x[:3] + Rotation.from_euler("z", x[3]).apply(anchor)
+        illuminator, to_vt = one.place(0), one.place(1) - receiver
+        total = float(np.linalg.norm(to_vt))
         low, high = 0.0, total
         for _ in range(60):
             middle = 0.5 * (low + high)
-            too_long = middle + np.linalg.norm(anchor + middle * u - illuminator) > total
+            point = receiver + middle / total * to_vt
+            too_long = middle + np.linalg.norm(point - illuminator) > total
             low, high = (low, middle) if too_long else (middle, high)
         one.f.x[:n] = kept
-        return np.array([low, az, el])
+        east, north, up = receiver + low / total * to_vt - anchor
+        flat = np.hypot(east, north)
+        return np.array([np.hypot(flat, up), np.arctan2(north, east), np.arctan2(up, flat)])
 
     x = one.f.x[:n].copy()
-    by = np.stack([(length(x + 1e-5 * e) - length(x - 1e-5 * e)) / 2e-5 for e in np.eye(n)], axis=1)
+    by = np.stack([(begun(x + 1e-5 * e) - begun(x - 1e-5 * e)) / 2e-5 for e in np.eye(n)], axis=1)
     scatterer_of(one.f, one.block, 1, one.w.jacobian, one.w.pending)
     at = one.f.vts.state[2, :3]
-    np.testing.assert_allclose(one.f.x[at], length(x), atol=1e-9)
+    np.testing.assert_allclose(one.f.x[at], begun(x), atol=1e-9)
     np.testing.assert_allclose(one.f.p[np.ix_(at, np.arange(n))], by @ p, atol=1e-6)
     np.testing.assert_allclose(one.f.p[np.ix_(at, at)], by @ p @ by.T, atol=1e-6)
     assert one.f.vts.slots[:3, IS_SCATTERER].tolist() == [0, 0, 1]
