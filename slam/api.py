@@ -8,6 +8,7 @@ Source: paper, sections II and III: body velocities (eq. 14), distance, azimuth 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.described import POSITION_COLUMNS, Described, dataframe
-from cellslam.sim.frames import followed, held
+from cellslam.sim.frames import followed, held, rotation
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel, Recording, Sites, Truth
 from cellslam.slam.model.vt_map import VtMap
 from cellslam.slam.model.walls import normals
@@ -190,7 +191,7 @@ def setup_of(
         sites=_frozen_copy(recording.sites),
         odometry_model=_frozen_copy(recording.odometry_model),
         start_pose=_frozen(recording.start_pose),
-        start_std=_frozen(recording.start_std),
+        start_std=_frozen(_start_std(recording)),
         truth=_frozen_copy(recording.truth) if with_truth else None,
         map=known,
         future=tuple(steps_of(recording)) if with_future else None,
@@ -240,6 +241,21 @@ def snapshots_of(recording: Recording) -> list[Snapshot]:
             snapshot = replace(snapshot, odometry_held_s=_frozen(held_s[t]))
         out.append(snapshot)
     return out
+
+
+def _start_std(recording: Recording) -> Floats:
+    """Return the deviations (6,) of the start pose in m and rad, for steps whose odometry is `odometry_of`.
+
+    A vehicle that follows commands u with the time constant tau, and moved with v before the first row, comes to stand
+    tau (v - u) from where it would with v = u. Nobody knows v: it stood still, or turns back, as well as it was moved
+    as u. As likely anywhere between 0 and 2 u it has the deviation u / sqrt(3).
+    """
+    time_constant_s, u = recording.odometry_model.time_constant_s, held(recording.odometry)[:2][-1]
+    if not time_constant_s:
+        return recording.start_std
+    behind = time_constant_s / math.sqrt(3.0) * np.abs(u)
+    behind[:3] = np.sqrt(rotation(*recording.start_pose[3:]) ** 2 @ behind[:3] ** 2)
+    return np.asarray(np.hypot(recording.start_std, behind))
 
 
 def _held_s(recording: Recording) -> Floats:

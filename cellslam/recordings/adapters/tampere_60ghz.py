@@ -74,7 +74,6 @@ def load(folder: Path, *, sites: str = "unknown") -> Campaign:
         link_azimuths=(tx[2],) if surveyed else None,
         site_surveys={"transmitter": (tx[0], tx[1], 0.0)} if surveyed else {},
         noise={"noise_density": NOISE},
-        start_pose=(rx[0, 0], rx[1, 0], 0.0, float(yaw[0]), 0.0, 0.0),
         reference=ReferenceTable(times, rx[:2].T, yaw, 0.01),
         plane=True,
         range_scale_std=0.0,  # a sounder counts samples of one clock

@@ -29,6 +29,7 @@ from cellslam.recordings.importing.manifest import (
     Manifest,
     Noise,
     ReferenceFile,
+    Start,
     load_manifest,
 )
 from cellslam.recordings.importing.odometry import OdometryTable, times_of
@@ -121,7 +122,7 @@ def campaign_of(folder: Path, manifest: Manifest) -> Campaign:
         odometry=odometry,
         noise=_noise(manifest),
         start_pose=_start(manifest),
-        start_std=(*manifest.start.std_m, *np.radians(manifest.start.std_deg)),
+        start_std=_start_std(manifest.start),
         reference=reference,
         snapshots_s=None if manifest.snapshots is None else read_table(folder, manifest, "snapshots").time_s,
         plane=manifest.plane,
@@ -212,6 +213,13 @@ def _start(manifest: Manifest) -> tuple[float, ...] | None:
         raise InputError("start.source = 'reference', but there is no [reference]: give the pose, or say 'origin'")
     given = (*start.position_m, *np.radians([start.yaw_deg, start.pitch_deg, start.roll_deg]).tolist())
     return {"reference": None, "origin": NOTHING, "given": given}[start.source]
+
+
+def _start_std(start: Start) -> tuple[float, ...] | None:
+    """Return the deviations (6,) of the start pose in m and rad; None: those that the reference has."""
+    if start.std_m is None and start.std_deg is None:
+        return None
+    return *(start.std_m or NOTHING[:3]), *np.radians(start.std_deg or NOTHING[3:]).tolist()
 
 
 def _reference(table: Table, asked: ReferenceFile, about: dict[str, Any]) -> ReferenceTable:

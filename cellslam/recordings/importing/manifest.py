@@ -155,8 +155,10 @@ class Start(Table):
     yaw_deg: float = Field(0.0, description="counter-clockwise from east, deg")
     pitch_deg: float = Field(0.0, description="nose down positive, deg")
     roll_deg: float = Field(0.0, description="deg")
-    std_m: Triple = Field((0.0, 0.0, 0.0), description="deviations of x, y, z, m")
-    std_deg: Triple = Field((0.0, 0.0, 0.0), description="deviations of yaw, pitch, roll, deg")
+    std_m: Triple | None = Field(
+        None, description="deviations of x, y, z, m; none: 0, or from the reference as the pose is"
+    )
+    std_deg: Triple | None = Field(None, description="deviations of yaw, pitch, roll, deg; none: likewise")
 
 
 class Manifest(Table):

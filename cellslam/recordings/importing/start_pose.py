@@ -7,6 +7,7 @@ follows. Least squares without it bends the stretch until it fits such a step.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -22,12 +23,15 @@ LEAST_FIXES, MOST_FIXES = 5, 100
 # Deviations of wheels, gyros and GNSS in general: a campaign's own data sheet may be wrong.
 YAW_RATE_BIAS_RADPS, YAW_RATE_SCALE, SPEED_SCALE = 0.01, 0.05, 0.05
 YAW_NOISE, PLACE_NOISE = 0.01, 0.1  # rad, m; each times root second
-FIX_STD_M, FIX_LASTS_S, FIX_WHITE_SHARE = 1.0, 20.0, 0.1
-STEPS, SMALL = 6, 1e-4
+YAW_STD = math.radians(1.0)  # of a heading that a reference reports
+FIX_LASTS_S, FIX_WHITE_SHARE = 20.0, 0.1
+FIX_STDS_M = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)  # of satellites; then down to those of cameras
+STEPS, SMALL = 4, 1e-4
 
 
-def start_from_reference(motion: Motion | None, reference: Reference, time_s: float) -> Floats:
-    """Return the pose (6,) at `time_s`: as the reference says, or so that the first 60 m of odometry fit it best.
+def start_from_reference(motion: Motion | None, reference: Reference, time_s: float) -> tuple[Floats, Floats]:
+    """Return the pose (6,) at `time_s` and its deviations (6,): as the reference says, or so that the first 60 m of
+    odometry fit it best.
 
     Height, pitch and roll are zero where the reference does not know them. Raises InputError where it does not reach
     back to the start.
@@ -36,16 +40,18 @@ def start_from_reference(motion: Motion | None, reference: Reference, time_s: fl
     fixes, times, std = reference.position_m[known], reference.time_s[known], reference.position_std_m[known]
     if not len(times) or times[-1] < time_s:
         raise InputError("the reference has no position at or after the first snapshot: give the start pose instead")
-    at_start = [np.interp(time_s, times, fixes[:, i]) for i in range(3)]
+    x, y, z = (np.interp(time_s, times, fixes[:, i]) for i in range(3))
     yaw = reference.yaw_rad[known]
     if np.isfinite(yaw).all():
-        return np.array([*np.nan_to_num(at_start), np.interp(time_s, times, np.unwrap(yaw)), 0.0, 0.0])
-    if motion is None:
+        psi, place_std = np.interp(time_s, times, np.unwrap(yaw)), np.nan_to_num(np.interp(time_s, times, std))
+        deviations = place_std, place_std, YAW_STD
+    elif motion is None:
         raise InputError("the reference has no heading and there is no odometry: give the start pose")
-    first = _first_stretch(motion, times, time_s)
-    std = np.where(np.isfinite(std), std, FIX_STD_M)[first]
-    x, y, psi = fitted_start(motion, times[first], fixes[first, :2], std, time_s)
-    return np.array([x, y, np.nan_to_num(at_start[2]), psi, 0.0, 0.0])
+    else:
+        first = _first_stretch(motion, times, time_s)
+        (x, y, psi), deviations = fitted_start(motion, times[first], fixes[first, :2], std[first], time_s)
+    std_x, std_y, std_psi = deviations
+    return np.array([x, y, np.nan_to_num(z), psi, 0.0, 0.0]), np.array([std_x, std_y, 0.0, std_psi, 0.0, 0.0])
 
 
 def _first_stretch(motion: Motion, times: Floats, time_s: float) -> slice:
@@ -61,14 +67,16 @@ def _first_stretch(motion: Motion, times: Floats, time_s: float) -> slice:
     return slice(begin, begin + count, -(-count // MOST_FIXES))
 
 
-def fitted_start(motion: Motion, times: Floats, fixes: Floats, std_m: Floats, time_s: float) -> Floats:
+def fitted_start(motion: Motion, times: Floats, fixes: Floats, std_m: Floats, time_s: float) -> tuple[Floats, Floats]:
     """Return x, y in m and yaw in rad (3,) at `time_s` that lay odometry best onto fixes (N, 2) at times (N,) in s with
-    deviations (N,) in m.
+    deviations (N,) in m, NaN: not known; and the deviations (3,) of the start.
 
     Found together with a bias and scale of the yaw rate and a scale of the speed by Gauss-Newton steps on the posterior
-    in which the odometry's noise adds up and the errors of fixes fade over FIX_LASTS_S.
+    in which the odometry's noise adds up and the errors of fixes fade over FIX_LASTS_S. Deviations that are not known
+    are those of satellites first, then those that make what such a fit leaves likeliest.
     """
     stretch = np.insert(times, 0, time_s)
+    known = np.isfinite(std_m)
 
     def drive(state: Floats) -> Floats:
         """Return the dead-reckoned poses (N + 1, 6) for x, y, yaw, yaw-rate bias and scale, speed scale (6,)."""
@@ -77,17 +85,29 @@ def fitted_start(motion: Motion, times: Floats, fixes: Floats, std_m: Floats, ti
         velocity = motion.velocity * factor + np.array([0.0, 0.0, 0.0, bias, 0.0, 0.0])
         return integrate(replace(motion, velocity=velocity), stretch, np.array([x, y, 0.0, psi, 0.0, 0.0]))[0]
 
+    def covariance(poses: Floats, unknown_m: float) -> Floats:
+        return _covariance(stretch, poses, np.where(known, std_m, unknown_m))
+
+    def unlikelihood(unknown_m: float) -> float:
+        """Return -2 log of the likelihood of what is left, but for a constant."""
+        size = covariance(poses, unknown_m)
+        return float(np.linalg.slogdet(size)[1] + rest @ np.linalg.solve(size, rest))
+
     angle, shift = rigid(drive(np.zeros(6))[1:, :2], fixes)
     state = np.array([*shift, angle, 0.0, 0.0, 0.0])
     prior = np.array([0.0, 0.0, 0.0, YAW_RATE_BIAS_RADPS**-2, YAW_RATE_SCALE**-2, SPEED_SCALE**-2])
-    for _ in range(STEPS):
+    unknown_m = FIX_STDS_M[0]
+    for step in range(2 * STEPS):
         poses = drive(state)
-        slope = np.stack([(drive(state + step) - poses)[1:, :2] / SMALL for step in SMALL * np.eye(6)], axis=-1)
-        slope = slope.reshape(-1, 6)
-        weighted = np.linalg.solve(_covariance(stretch, poses, std_m), slope).T
         rest = (fixes - poses[1:, :2]).ravel()
-        state = state + np.linalg.solve(weighted @ slope + np.diag(prior), weighted @ rest - prior * state)
-    return state[:3]
+        if step == STEPS:
+            unknown_m = min(FIX_STDS_M, key=unlikelihood)
+        slope = np.stack([(drive(state + small) - poses)[1:, :2] / SMALL for small in SMALL * np.eye(6)], axis=-1)
+        slope = slope.reshape(-1, 6)
+        weighted = np.linalg.solve(covariance(poses, unknown_m), slope).T
+        information = weighted @ slope + np.diag(prior)
+        state = state + np.linalg.solve(information, weighted @ rest - prior * state)
+    return state[:3], np.sqrt(np.diag(np.linalg.inv(information))[:3])
 
 
 def _covariance(times: Floats, poses: Floats, std_m: Floats) -> Floats:

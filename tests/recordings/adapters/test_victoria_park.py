@@ -129,8 +129,8 @@ def test_a_step_of_the_fixes_does_not_turn_the_start() -> None:
         aside = np.where((t > 7.5) & (t < 25.0), side, 0.0)
         c, s = np.cos(0.6), np.sin(0.6)
         fixes = np.column_stack([2.0 * t * c - aside * s, 2.0 * t * s + aside * c, nothing])
-        pose = start_from_reference(motion, Reference(t, fixes, nothing, nothing), 0.0)
-        assert abs(pose[3] - 0.6) < np.radians(3.6)
+        pose, std = start_from_reference(motion, Reference(t, fixes, nothing, nothing), 0.0)
+        assert abs(pose[3] - 0.6) < np.radians(3.6) and np.radians(0.5) < std[3] < np.radians(5.0)
 
 
 @pytest.mark.usefixtures("mat_files_read_here")
