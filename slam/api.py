@@ -8,7 +8,6 @@ Source: paper, sections II and III: body velocities (eq. 14), distance, azimuth 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
@@ -212,9 +211,7 @@ def odometry_of(recording: Recording) -> Floats:
     A component that was never measured is zero (its data sheet then says how the vehicle moves that way); in a gap the
     last measured value holds. Commands are followed with the time constant of the data sheet.
     """
-    out, time_constant_s = held(recording.odometry), recording.odometry_model.time_constant_s
-    if time_constant_s:
-        out = followed(out, np.diff(recording.time_s, prepend=recording.time_s[0]), time_constant_s)
+    out = _followed(recording)[0] if recording.odometry_model.time_constant_s else held(recording.odometry)
     out.setflags(write=False)
     return out
 
@@ -243,19 +240,24 @@ def snapshots_of(recording: Recording) -> list[Snapshot]:
     return out
 
 
+def _followed(recording: Recording) -> tuple[Floats, Floats]:
+    """Return `followed` (T, 6) of a recording's odometry, which is commands."""
+    dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
+    return followed(held(recording.odometry), dt_s, recording.odometry_model.time_constant_s or 0.0)
+
+
 def _start_std(recording: Recording) -> Floats:
     """Return the deviations (6,) of the start pose in m and rad, for steps whose odometry is `odometry_of`.
 
-    A vehicle that follows commands u with the time constant tau, and moved with v before the first row, comes to stand
-    tau (v - u) from where it would with v = u. Nobody knows v: it stood still, or turns back, as well as it was moved
-    as u. As likely anywhere between 0 and 2 u it has the deviation u / sqrt(3).
+    A vehicle that follows commands u with the time constant tau, and moves with v as the drive begins, comes to stand
+    tau (v - u) from where it would with v = u. Nobody knows v: it is as far from u as at other times of the drive.
     """
-    time_constant_s, u = recording.odometry_model.time_constant_s, held(recording.odometry)[:2][-1]
+    time_constant_s = recording.odometry_model.time_constant_s
     if not time_constant_s:
         return recording.start_std
-    behind = time_constant_s / math.sqrt(3.0) * np.abs(u)
-    behind[:3] = np.sqrt(rotation(*recording.start_pose[3:]) ** 2 @ behind[:3] ** 2)
-    return np.asarray(np.hypot(recording.start_std, behind))
+    aside2 = time_constant_s**2 * np.mean(_followed(recording)[1] ** 2, axis=0)
+    aside2[:3] = rotation(*recording.start_pose[3:]) ** 2 @ aside2[:3]
+    return np.sqrt(recording.start_std**2 + aside2)
 
 
 def _held_s(recording: Recording) -> Floats:

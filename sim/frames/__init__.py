@@ -32,19 +32,22 @@ def held(odometry: NDArray[np.float64]) -> NDArray[np.float64]:
     return out
 
 
-def followed(commands: NDArray[np.float64], dt_s: NDArray[np.float64], time_constant_s: float) -> NDArray[np.float64]:
-    """Return mean velocities (T, 6) of a vehicle that follows commands (T, 6), each held for an interval (T,) in s.
+def followed(
+    commands: NDArray[np.float64], dt_s: NDArray[np.float64], time_constant_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return mean velocities (T, 6) of a vehicle that follows commands (T, 6), each held for an interval (T,) in s; and
+    by how much it is faster (T, 6) than commanded as each interval begins.
 
     It follows as a system of the first order, tau dv/dt = u - v; before the first interval it moves as commanded then.
     Row 0 is no interval, and is copied.
     """
-    out, now = commands.copy(), commands[min(1, len(commands) - 1)]
+    out, ahead, now = commands.copy(), np.zeros_like(commands), commands[min(1, len(commands) - 1)]
     for t in range(1, len(commands)):
-        behind, share = now - commands[t], dt_s[t] / time_constant_s
+        ahead[t], share = now - commands[t], dt_s[t] / time_constant_s
         left = np.exp(-share)
-        out[t] += behind * (1.0 - left) / share
-        now = commands[t] + behind * left
-    return out
+        out[t] += ahead[t] * (1.0 - left) / share
+        now = commands[t] + ahead[t] * left
+    return out, ahead
 
 
 def rotation(psi_rad: ArrayLike, theta_rad: ArrayLike, phi_rad: ArrayLike) -> NDArray[np.float64]:

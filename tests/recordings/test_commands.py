@@ -38,7 +38,7 @@ def commanded(seed: int) -> Campaign:
 def test_a_vehicle_follows_as_a_system_of_the_first_order() -> None:
     rng = np.random.default_rng(1)
     dt_s, commands = np.append(0.0, rng.uniform(0.05, 1.0, 8)), rng.standard_normal((9, 6))
-    now, found = commands[1], followed(commands, dt_s, 0.3)
+    now, found = commands[1], followed(commands, dt_s, 0.3)[0]
     for t in range(1, 9):
 
         def motion(_: float, state: np.ndarray, t: int = t) -> np.ndarray:
@@ -85,6 +85,6 @@ def test_a_vehicle_that_follows_at_once_has_no_time_constant() -> None:
     given = commanded(4)
     assert given.odometry is not None
     wheels = build(given)
-    at_once = replace(wheels, odometry=followed(wheels.odometry, np.diff(wheels.time_s, prepend=0.0), FOLLOWS_S))
+    at_once = replace(wheels, odometry=followed(wheels.odometry, np.diff(wheels.time_s, prepend=0.0), FOLLOWS_S)[0])
     learnt = learn(at_once, None)
     assert not learnt.odometry_model.time_constant_s

@@ -8,7 +8,7 @@ import pytest
 from cellslam.recordings import Campaign, OdometryTable, ReferenceTable, build
 from cellslam.recordings.importing.odometry import motion_of
 from cellslam.recordings.importing.start_pose import YAW_STD, start_from_reference
-from cellslam.sim.frames import integrate_pose
+from cellslam.sim.frames import followed, integrate_pose
 from cellslam.sim.recording import Floats, Reference
 from cellslam.slam.api import setup_of
 
@@ -48,12 +48,10 @@ def test_a_start_that_is_fitted_is_as_uncertain_as_it_errs(fix_std_m: float) -> 
 
 
 def campaign(**start: tuple[float, ...]) -> Campaign:
-    """A drive along the x axis, in commands that are followed late, with a reference that reports its heading."""
-    t = 0.1 * np.arange(50)
-    zero = np.zeros(50)
-    wheels = OdometryTable(t, {"u_x": zero + 3.0, "u_psi": zero + 0.2}, valid_s=np.inf, time_constant_s=0.4)
+    """A drive along the x axis with a reference that reports its heading."""
+    t, zero = 0.1 * np.arange(50), np.zeros(50)
     reference = ReferenceTable(t, np.column_stack([3.0 * t, zero]), zero, 0.05)
-    return Campaign(t, {"distance_m": 50.0 + t}, wheels, reference=reference, **start)
+    return Campaign(t, {"distance_m": 50.0 + t}, OdometryTable(t, {"u_x": zero + 3.0}), reference=reference, **start)
 
 
 def test_a_start_is_as_sure_as_the_reference_unless_it_is_given() -> None:
@@ -63,5 +61,17 @@ def test_a_start_is_as_sure_as_the_reference_unless_it_is_given() -> None:
 
 
 def test_how_the_vehicle_moved_before_its_first_command_is_not_known() -> None:
-    setup = setup_of(build(campaign(start_pose=(0.0, 0.0, 0.0, np.pi / 2.0, 0.0, 0.0))))
-    assert setup.start_std == pytest.approx(np.array([0.0, 3.0, 0.0, 0.2, 0.0, 0.0]) * 0.4 / np.sqrt(3.0), abs=1e-9)
+    """Commands that change at random, from any row on: how far off the turn is that is followed from there alone."""
+    rng = np.random.default_rng(2)
+    t, commands = 0.1 * np.arange(2000), np.zeros((2000, 6))
+    commands[:, 3] = np.repeat(0.5 * rng.standard_normal(200), 10)
+    dt_s = np.diff(t, prepend=0.0)
+    whole = followed(commands, dt_s, 0.4)[0]
+    rows = np.arange(50, 1900, 7)
+    off = [
+        0.1 * (followed(commands[k : k + 50], dt_s[k : k + 50], 0.4)[0] - whole[k : k + 50])[1:, 3].sum() for k in rows
+    ]
+    wheels = OdometryTable(t, {"u_x": np.ones(2000), "u_psi": commands[:, 3]}, "before", time_constant_s=0.4)
+    setup = setup_of(build(Campaign(t, {"distance_m": 50.0 + t}, wheels, start_pose=(0.0,) * 6)))
+    assert setup.start_std[3] == pytest.approx(np.sqrt(np.mean(np.square(off))), rel=0.15)
+    assert setup.start_std[0] == pytest.approx(0.0, abs=0.05) and not setup.start_std[[1, 2, 4, 5]].any()
