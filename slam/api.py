@@ -257,7 +257,7 @@ def _start_std(recording: Recording) -> Floats:
         return recording.start_std
     aside2 = time_constant_s**2 * np.mean(_followed(recording)[1] ** 2, axis=0)
     aside2[:3] = rotation(*recording.start_pose[3:]) ** 2 @ aside2[:3]
-    return np.sqrt(recording.start_std**2 + aside2)
+    return np.asarray(np.sqrt(recording.start_std**2 + aside2))
 
 
 def _held_s(recording: Recording) -> Floats:

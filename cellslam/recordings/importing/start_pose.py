@@ -44,7 +44,7 @@ def start_from_reference(motion: Motion | None, reference: Reference, time_s: fl
     yaw = reference.yaw_rad[known]
     if np.isfinite(yaw).all():
         psi, place_std = np.interp(time_s, times, np.unwrap(yaw)), np.nan_to_num(np.interp(time_s, times, std))
-        deviations = place_std, place_std, YAW_STD
+        deviations = np.array([place_std, place_std, YAW_STD])
     elif motion is None:
         raise InputError("the reference has no heading and there is no odometry: give the start pose")
     else:

@@ -204,9 +204,9 @@ def test_a_hundred_thousand_rows_take_two_seconds(folder: Path, tmp_path: Path) 
     source.close()
     target.close()
     assert count > 1e5
-    begin = time.perf_counter()
+    begin = time.process_time()
     tidy = summary(tmp_path)
-    seconds = time.perf_counter() - begin
+    seconds = time.process_time() - begin
     assert tidy["trials"].sum() + tidy["failed"].sum() == 6 * count
     # Alone it takes a second; a busy machine is not what is tested here.
     assert seconds < 6.0, f"{seconds:.1f} s"
