@@ -87,6 +87,7 @@ from cellslam.slam.fastslam.relocation import PLANE, components_of_pose, log_lik
 from cellslam.slam.joint.ekf_slam import JointFilter
 from cellslam.slam.joint.mixture import Mixture
 from cellslam.slam.joint.snapshot.association_kernel import FRESH, NO_BIRTH
+from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
 from cellslam.slam.joint.snapshot.motion_kernel import NOTHING_DRAWN, Interval
 from cellslam.slam.joint.snapshot.snapshot_kernel import Workspace
 from cellslam.slam.joint.state.layout import (
@@ -259,7 +260,9 @@ class FastSlam(JointFilter):
         self._move(f, G, W, log_likelihood)
         rules = self._prune(f, measured)
         total = end_block(f, errors, b, before, interval.noise, measured._replace(rules=rules), drawn, work)
-        self._resample(f)
+        before = f.x[: f.size[0]].copy()
+        if self._resample(f):  # the mean has moved, without a measurement
+            carry_over(f, before, w.rows)
         spread_over_particles(f, site_of, work)
         return total
 
@@ -301,14 +304,16 @@ class FastSlam(JointFilter):
             dgemm(1.0, W.T, G, beta=1.0, c=f.particles.deviation[:n].T, overwrite_c=True)
         _recentre(f, n)
 
-    def _resample(self, f: Filter) -> None:
+    def _resample(self, f: Filter) -> bool:
+        """Resample the particles of a group if their weights differ too much; return whether they did."""
         count, n = len(f.particles.weight), int(f.size[0])
         if count == 1 or 1.0 / np.sum(f.particles.weight**2) >= self.options.effective_share * count:
-            return
+            return False
         ancestors = self._ancestors(f.particles.weight, count)
         f.particles.deviation[:n] = f.particles.deviation[:n, ancestors]
         f.particles.weight[:] = 1.0 / count
         _recentre(f, n)
+        return True
 
     def _prune(self, f: Filter, measured: Measured) -> Any:
         """Mark the VTs that are to be dropped; return the rules for what the joint filter does at a block's end."""

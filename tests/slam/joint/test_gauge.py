@@ -11,8 +11,8 @@ import pytest
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Floats
+from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.joint.ekf_slam import EkfSlam
-from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
 from tests.slam.driving import driven
 from tests.slam.scattered_worlds import WHITE, world
@@ -93,13 +93,15 @@ def test_a_heading_that_nothing_tells_does_not_get_better() -> None:
     assert np.degrees(np.sqrt(answer.covariance[3, 3])) == pytest.approx(10.0, abs=0.05)
 
 
-def test_a_start_that_is_not_known_changes_no_estimate() -> None:
+@pytest.mark.parametrize("estimator", [EkfSlam, FastSlam])
+def test_a_start_that_is_not_known_changes_no_estimate(estimator: Any) -> None:
     """Among mirror images and scatterers: whatever is believed of where the world's frame lies, the drive and the map
     within are the same, and as uncertain."""
     recording, unknown = world(5, 0.5, features=20, steps=120).recording, np.radians([0.0, 0.0, 0.0, 6.0, 0.0, 0.0])
     unknown[:2] = 2.0
     sure, unsure = (
-        driven(EkfSlam(EkfSlamOptions(**WHITE)), replace(recording, start_std=std)) for std in (np.zeros(6), unknown)
+        driven(estimator(estimator.Options(**WHITE)), replace(recording, start_std=std))
+        for std in (np.zeros(6), unknown)
     )
     for one, other in zip(sure, unsure, strict=True):
         np.testing.assert_allclose(other.pose, one.pose, atol=1e-4)
