@@ -211,7 +211,8 @@ def odometry_of(recording: Recording) -> Floats:
     A component that was never measured is zero (its data sheet then says how the vehicle moves that way); in a gap the
     last measured value holds. Commands are followed with the time constant of the data sheet.
     """
-    out = _followed(recording)[0] if recording.odometry_model.time_constant_s else held(recording.odometry)
+    time_constant_s = recording.odometry_model.time_constant_s
+    out = _followed(recording, time_constant_s)[0] if time_constant_s else held(recording.odometry)
     out.setflags(write=False)
     return out
 
@@ -240,10 +241,10 @@ def snapshots_of(recording: Recording) -> list[Snapshot]:
     return out
 
 
-def _followed(recording: Recording) -> tuple[Floats, Floats]:
+def _followed(recording: Recording, time_constant_s: float) -> tuple[Floats, Floats]:
     """Return `followed` (T, 6) of a recording's odometry, which is commands."""
     dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
-    return followed(held(recording.odometry), dt_s, recording.odometry_model.time_constant_s or 0.0)
+    return followed(held(recording.odometry), dt_s, time_constant_s)
 
 
 def _start_std(recording: Recording) -> Floats:
@@ -255,7 +256,7 @@ def _start_std(recording: Recording) -> Floats:
     time_constant_s = recording.odometry_model.time_constant_s
     if not time_constant_s:
         return recording.start_std
-    aside2 = time_constant_s**2 * np.mean(_followed(recording)[1] ** 2, axis=0)
+    aside2 = time_constant_s**2 * np.mean(_followed(recording, time_constant_s)[1] ** 2, axis=0)
     aside2[:3] = rotation(*recording.start_pose[3:]) ** 2 @ aside2[:3]
     return np.asarray(np.sqrt(recording.start_std**2 + aside2))
 

@@ -21,6 +21,7 @@ from cellslam.slam.api import VtEstimate
 from cellslam.slam.joint.influence import Influence
 from cellslam.slam.joint.map_states import Remembered
 from cellslam.slam.joint.snapshot.birth_kernel import map_of
+from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
 from cellslam.slam.joint.snapshot.motion_kernel import Interval
 from cellslam.slam.joint.snapshot.snapshot_kernel import advance_mixture
 from cellslam.slam.joint.state.layout import (
@@ -165,9 +166,10 @@ class Mixture:
         for i in range(k if old.weight.shape[1] else 0):
             ancestors = resample(old.weight[i])
             deviation[i], poses[i] = old.deviation[i][:, ancestors], b.track.deviation[i][..., ancestors]
-            centre = deviation[i].mean(axis=1)
+            centre, before = deviation[i].mean(axis=1), self.arrays.x[i].copy()
             self.arrays.x[i] += centre
             deviation[i] -= centre[:, None]
+            carry_over(one_of(self.arrays, i), before, np.empty((4, len(before))))
         self.arrays = self.arrays._replace(particles=Particles(deviation=deviation, weight=weight))
         self.blocks = b._replace(track=b.track._replace(deviation=poses))
 

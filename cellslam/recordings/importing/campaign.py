@@ -57,11 +57,11 @@ class Campaign:
     `site_surveys`: by site, where it stands and, if the survey errs, the deviations: (x, y, z) or (x, y, z, std x, std
     y, std z) in metres; a site that is not in it was not surveyed. `link_azimuths`: where each sector's antenna points,
     rad counter-clockwise from east, NaN where it is not known.
-    `start_pose`, `start_std`: None takes both from the reference; a pose that is given without deviations
-    is exact. `snapshots_s`: times of all snapshots, empty ones too; None: the
-    times of the measurements. `noise`: OdometryModel's fields by name, each (6,). `range_scale_std`: deviation of the
-    scale by which all distances may be measured too long; 0: it is known to be right. `scatterers`: whether points may
-    scatter paths, beside walls that mirror them; False for landmarks that are measured themselves.
+    `start_pose`: None takes it from the reference. `start_std`: its deviations; NaN: as the reference has them, 0 where
+    the pose is given. `snapshots_s`: times of all snapshots, empty ones too; None: the times of the measurements.
+    `noise`: OdometryModel's fields by name, each (6,). `range_scale_std`: deviation of the scale by which all distances
+    may be measured too long; 0: it is known to be right. `scatterers`: whether points may scatter paths, beside walls
+    that mirror them; False for landmarks that are measured themselves.
     """
 
     time_s: ArrayLike
@@ -76,7 +76,7 @@ class Campaign:
     site_surveys: Mapping[str, Sequence[float]] = field(default_factory=dict)
     noise: Mapping[str, Sequence[float]] = field(default_factory=dict)
     start_pose: Sequence[float] | None = None
-    start_std: Sequence[float] | None = None
+    start_std: Sequence[float] = (np.nan,) * 6
     reference: ReferenceTable | None = None
     snapshots_s: ArrayLike | None = None
     plane: bool = False
@@ -116,7 +116,7 @@ def build(campaign: Campaign) -> Recording:
         sites=sites,
         measurements=_measurements(campaign, rows_s, times),
         start_pose=start_pose,
-        start_std=start_std if campaign.start_std is None else np.asarray(campaign.start_std, np.float64),
+        start_std=np.where(np.isnan(campaign.start_std), start_std, campaign.start_std),
         provenance=dict(campaign.about),
         reference=reference,
         plane=campaign.plane,

@@ -215,11 +215,10 @@ def _start(manifest: Manifest) -> tuple[float, ...] | None:
     return {"reference": None, "origin": NOTHING, "given": given}[start.source]
 
 
-def _start_std(start: Start) -> tuple[float, ...] | None:
-    """Return the deviations (6,) of the start pose in m and rad; None: those that the reference has."""
-    if start.std_m is None and start.std_deg is None:
-        return None
-    return *(start.std_m or NOTHING[:3]), *np.radians(start.std_deg or NOTHING[3:]).tolist()
+def _start_std(start: Start) -> tuple[float, ...]:
+    """Return the deviations (6,) of the start pose in m and rad, NaN where the file has none."""
+    unknown = (np.nan,) * 3
+    return *(start.std_m or unknown), *np.radians(start.std_deg or unknown).tolist()
 
 
 def _reference(table: Table, asked: ReferenceFile, about: dict[str, Any]) -> ReferenceTable:

@@ -156,7 +156,7 @@ class Start(Table):
     pitch_deg: float = Field(0.0, description="nose down positive, deg")
     roll_deg: float = Field(0.0, description="deg")
     std_m: Triple | None = Field(
-        None, description="deviations of x, y, z, m; none: 0, or from the reference as the pose is"
+        None, description="deviations of x, y, z, m; none: as the reference has them, 0 where the pose is given"
     )
     std_deg: Triple | None = Field(None, description="deviations of yaw, pitch, roll, deg; none: likewise")
 

@@ -26,7 +26,7 @@ YAW_NOISE, PLACE_NOISE = 0.01, 0.1  # rad, m; each times root second
 YAW_STD = math.radians(1.0)  # of a heading that a reference reports
 FIX_LASTS_S, FIX_WHITE_SHARE = 20.0, 0.1
 FIX_STDS_M = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)  # of satellites; then down to those of cameras
-STEPS, SMALL = 4, 1e-4
+STEPS, SMALL = 6, 1e-4
 
 
 def start_from_reference(motion: Motion | None, reference: Reference, time_s: float) -> tuple[Floats, Floats]:
@@ -72,11 +72,11 @@ def fitted_start(motion: Motion, times: Floats, fixes: Floats, std_m: Floats, ti
     deviations (N,) in m, NaN: not known; and the deviations (3,) of the start.
 
     Found together with a bias and scale of the yaw rate and a scale of the speed by Gauss-Newton steps on the posterior
-    in which the odometry's noise adds up and the errors of fixes fade over FIX_LASTS_S. Deviations that are not known
-    are those of satellites first, then those that make what such a fit leaves likeliest.
+    in which the odometry's noise adds up and the errors of fixes fade over FIX_LASTS_S. Where deviations of fixes are
+    not known, a first fit takes those of satellites, and what it leaves says which are likeliest.
     """
     stretch = np.insert(times, 0, time_s)
-    known = np.isfinite(std_m)
+    prior = np.array([0.0, 0.0, 0.0, YAW_RATE_BIAS_RADPS**-2, YAW_RATE_SCALE**-2, SPEED_SCALE**-2])
 
     def drive(state: Floats) -> Floats:
         """Return the dead-reckoned poses (N + 1, 6) for x, y, yaw, yaw-rate bias and scale, speed scale (6,)."""
@@ -86,27 +86,32 @@ def fitted_start(motion: Motion, times: Floats, fixes: Floats, std_m: Floats, ti
         return integrate(replace(motion, velocity=velocity), stretch, np.array([x, y, 0.0, psi, 0.0, 0.0]))[0]
 
     def covariance(poses: Floats, unknown_m: float) -> Floats:
-        return _covariance(stretch, poses, np.where(known, std_m, unknown_m))
+        return _covariance(stretch, poses, np.where(np.isfinite(std_m), std_m, unknown_m))
 
-    def unlikelihood(unknown_m: float) -> float:
-        """Return -2 log of the likelihood of what is left, but for a constant."""
-        size = covariance(poses, unknown_m)
-        return float(np.linalg.slogdet(size)[1] + rest @ np.linalg.solve(size, rest))
+    def fit(state: Floats, unknown_m: float) -> tuple[Floats, Floats]:
+        """Return the state (6,) after some steps, and its information (6, 6)."""
+        for _ in range(STEPS):
+            poses = drive(state)
+            slope = np.stack([(drive(state + step) - poses)[1:, :2] / SMALL for step in SMALL * np.eye(6)], axis=-1)
+            slope = slope.reshape(-1, 6)
+            weighted = np.linalg.solve(covariance(poses, unknown_m), slope).T
+            information = weighted @ slope + np.diag(prior)
+            rest = (fixes - poses[1:, :2]).ravel()
+            state = state + np.linalg.solve(information, weighted @ rest - prior * state)
+        return state, information
 
     angle, shift = rigid(drive(np.zeros(6))[1:, :2], fixes)
-    state = np.array([*shift, angle, 0.0, 0.0, 0.0])
-    prior = np.array([0.0, 0.0, 0.0, YAW_RATE_BIAS_RADPS**-2, YAW_RATE_SCALE**-2, SPEED_SCALE**-2])
-    unknown_m = FIX_STDS_M[0]
-    for step in range(2 * STEPS):
+    state, information = fit(np.array([*shift, angle, 0.0, 0.0, 0.0]), FIX_STDS_M[0])
+    if not np.isfinite(std_m).all():
         poses = drive(state)
         rest = (fixes - poses[1:, :2]).ravel()
-        if step == STEPS:
-            unknown_m = min(FIX_STDS_M, key=unlikelihood)
-        slope = np.stack([(drive(state + small) - poses)[1:, :2] / SMALL for small in SMALL * np.eye(6)], axis=-1)
-        slope = slope.reshape(-1, 6)
-        weighted = np.linalg.solve(covariance(poses, unknown_m), slope).T
-        information = weighted @ slope + np.diag(prior)
-        state = state + np.linalg.solve(information, weighted @ rest - prior * state)
+
+        def deviance(unknown_m: float) -> float:
+            """Return -2 log of the likelihood of what is left, but for a constant."""
+            size = covariance(poses, unknown_m)
+            return float(np.linalg.slogdet(size)[1] + rest @ np.linalg.solve(size, rest))
+
+        state, information = fit(state, min(FIX_STDS_M, key=deviance))
     return state[:3], np.sqrt(np.diag(np.linalg.inv(information))[:3])
 
 

@@ -230,11 +230,11 @@ def scatterer_of(f: Filter, b: Block, j: int, s: Jacobian, w: Pending) -> None:
 
         dd (1 + u e) = dr - d (du e) + e dl,    du by the direction of VT j
 
-    All are as the receiver sees them, which stands beside the anchor by the vehicle's error dq = dp + J (anchor - p)
-    dpsi. With v and v_j the coordinates of scatterer and VT j, and places as index, an error of all three places by dq
-    shifts the scatterer by dq, too: beside v_j and l, v depends on the receiver by
+    All of these are as the receiver sees them. The receiver stands beside the anchor, by dq = dp + J (anchor - p) dpsi,
+    since the vehicle's place p and yaw err. If receiver, VT j and illuminator are all shifted by dq, the scatterer is
+    shifted by dq as well. So its coordinates v depend on the receiver by
 
-        dv = (dv/dplace - dv/dv_j dv_j/dplace - dv/dl) dq
+        dv = (D - dv/dv_j D_j - dv/dl) dq,    v_j: coordinates of VT j; D, D_j: derivatives of v and v_j by a place
     """
     first, new, illuminator = f.size[0], f.count[0], f.illuminators[f.vts.slots[j, LINK]]
     if illuminator < 0 or illuminator == j or new == len(f.vts.slots) or first + 3 > len(f.x):

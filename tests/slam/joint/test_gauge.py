@@ -94,11 +94,12 @@ def test_a_heading_that_nothing_tells_does_not_get_better() -> None:
 
 
 @pytest.mark.parametrize("estimator", [EkfSlam, FastSlam])
-def test_a_start_that_is_not_known_changes_no_estimate(estimator: Any) -> None:
+@pytest.mark.parametrize("clock_m", [0.0, 30.0])
+def test_a_start_that_is_not_known_changes_no_estimate(estimator: Any, clock_m: float) -> None:
     """Among mirror images and scatterers: whatever is believed of where the world's frame lies, the drive and the map
     within are the same, and as uncertain."""
-    recording, unknown = world(5, 0.5, features=20, steps=120).recording, np.radians([0.0, 0.0, 0.0, 6.0, 0.0, 0.0])
-    unknown[:2] = 2.0
+    drive, unknown = world(5, 0.5, features=20, steps=120).recording, np.array([2.0, 2.0, 0.0, 0.1, 0.0, 0.0])
+    recording = replace(drive, sites=replace(drive.sites, clock_offset_std_m=np.full(1, clock_m)))
     sure, unsure = (
         driven(estimator(estimator.Options(**WHITE)), replace(recording, start_std=std))
         for std in (np.zeros(6), unknown)
