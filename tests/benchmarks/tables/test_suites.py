@@ -10,16 +10,18 @@ import pandas as pd
 import pytest
 
 from cellslam.benchmarks.sweeps.rows import results
+from cellslam.benchmarks.sweeps.tasks import plan
 from cellslam.benchmarks.tables import suite_rows
 from cellslam.benchmarks.tables.suite_tables import suite_markdown
 from cellslam.cli.main import main
 from cellslam.scenarios import suites
 from cellslam.scenarios.loading import load, tables_of
-from cellslam.scenarios.suites import SUITES, Suite, digest, scenario_of, suite, superseded_by
+from cellslam.scenarios.suites import SUITES, Suite, digest, points_of, scenario_of, suite, superseded_by
 from cellslam.sim.errors import InputError
 from tests.command_line import Run, refused
 from tests.short_drive import SET
 
+ENTRY = Path(__file__).parents[3] / "benchmarks" / "results" / "standard-4.json"
 # A suite never changes: what would change its results is another version.
 DIGESTS = {
     "standard-2": "f2ad4471781461225a76a2056f28104016ae4d6ee8bc10681ab0d56f517cc10c",
@@ -54,6 +56,16 @@ def test_every_value_of_a_suite_is_written_out() -> None:
         written = tables_of(suites.FOLDER / f"{name}.toml")
         for table, values in tomllib.loads(scenario_of(one, name).toml()).items():
             assert not isinstance(values, dict) or values.keys() <= written[table].keys(), (name, table)
+
+
+@pytest.mark.slow
+def test_the_entry_of_the_leaderboard_is_of_the_options_that_estimators_have() -> None:
+    """Else `--check` refuses it. A new option that changes no drive of the suite needs new keys, and no new drives."""
+    entry = suite_rows.read(ENTRY)
+    one = entry.suite
+    points = points_of(one, one.scenarios, entry.rows["estimator"].unique().tolist())
+    made = plan(points, [one.trials_of(name) for name in one.scenarios], one.seed, trajectories=False)
+    assert {job.key for task in made.tasks for job in task.jobs} == set(entry.rows["key"])
 
 
 def test_accuracy_writes_its_tables_and_resumes(
