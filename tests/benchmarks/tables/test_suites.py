@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -21,7 +22,8 @@ from cellslam.sim.errors import InputError
 from tests.command_line import Run, refused
 from tests.short_drive import SET
 
-ENTRY = Path(__file__).parents[3] / "benchmarks" / "results" / "standard-4.json"
+ROOT = Path(__file__).parents[3]
+ENTRY, LEADERBOARD = ROOT / "benchmarks" / "results" / "standard-4.json", ROOT / "docs" / "leaderboard.md"
 # A suite never changes: what would change its results is another version.
 DIGESTS = {
     "standard-2": "f2ad4471781461225a76a2056f28104016ae4d6ee8bc10681ab0d56f517cc10c",
@@ -66,6 +68,19 @@ def test_the_entry_of_the_leaderboard_is_of_the_options_that_estimators_have() -
     points = points_of(one, one.scenarios, entry.rows["estimator"].unique().tolist())
     made = plan(points, [one.trials_of(name) for name in one.scenarios], one.seed, trajectories=False)
     assert {job.key for task in made.tasks for job in task.jobs} == set(entry.rows["key"])
+
+
+@pytest.mark.slow
+def test_the_leaderboard_says_what_its_entry_gives(tmp_path: Path) -> None:
+    page = tmp_path / "leaderboard.md"
+    assert main(["bench", "leaderboard", str(ENTRY), "--write", str(page)]) == 0
+    made, kept = (without_numbers(path.read_text()) for path in (page, LEADERBOARD))
+    assert made == kept
+
+
+def without_numbers(text: str) -> list[str]:
+    """Return the tables of a page, whose last digits another processor may round otherwise."""
+    return [re.sub(r"[\d.]+(e-\d+)?", "", line) for line in text.splitlines() if line.startswith("|")]
 
 
 def test_accuracy_writes_its_tables_and_resumes(
