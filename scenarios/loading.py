@@ -71,7 +71,7 @@ def tables_of(name_or_path: str | Path, changed_by: tuple[Path, ...] = ()) -> di
     """
     text = str(name_or_path)
     path = PRESETS / f"{text}.toml" if _is_preset(text) else Path(text)
-    if not (text.endswith(".toml") or len(path.parts) > 1 or path.is_file()):
+    if not (text.endswith(".toml") or len(path.parts) > 1 or (_exists(path) and path.is_file())):
         raise InputError(f"{unknown_name('scenario', text, preset_names())}; or give a .toml file")
     tables = {"name": path.stem, **_beside(path.parent, _tables(path))}
     base = tables.pop("base", None)

@@ -70,6 +70,7 @@ def test_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert rows["radio.load"].tolist() == [0.0, 0.5]
     again = cellslam.sweep("tiny", axes, tmp_path, "dead-reckoning", jobs=1)
     assert again.rows.equals(rows)  # with the times of the first
+    assert "dead-reckoning" in repr(first) and "<table" in first._repr_html_()
     table = first.table()
     assert table["estimator"].tolist() == ["dead-reckoning", "bound"] * 2
     assert table["position_rmse_m"].tolist()[::2] == rows["position_rmse_m"].tolist()
@@ -98,5 +99,6 @@ def test_a_trial_shows_itself_and_has_figures_and_arrays_by_name() -> None:
     assert trial.recording.truth is not None and trial.bound is not None
     assert trial.estimates["ekf-slam"].poses.shape == trial.recording.truth.poses.shape
     assert trial.plot("error").axes and trial.plot().axes
+    assert "tiny, seed 1, trial 0" in repr(trial) and "<table" in trial._repr_html_()
     with pytest.raises(cellslam.InputError, match="unknown figure 'mapp'; did you mean 'map'"):
         trial.plot("mapp")

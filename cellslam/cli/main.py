@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import re
 import sys
@@ -132,6 +133,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        sys.stderr.write(f"cellslam: '{one_line(error.filename, 60)}': a name that is too long for a file\n")
+        return WRONG
 
 
 def build_parser(words: Sequence[str]) -> argparse.ArgumentParser:
