@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import files
@@ -51,9 +52,8 @@ def city_of(corners: Any, triangles: Any = ((0, 1, 2),)) -> Any:
 def test_errors_name_the_value_and_the_remedy(call: Callable[[], Any], says: str, tmp_path: Path,
                                               monkeypatch: pytest.MonkeyPatch) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError, match=re.escape(says)):
         call()
-    assert says in str(refused.value)
 
 
 @pytest.mark.parametrize("words", [("run",), ("replay",), ("sweep", "--out", "swept")])
@@ -70,9 +70,8 @@ def test_a_name_that_is_too_long_is_one_line(words: tuple[str, ...], cellslam: R
 )
 def test_a_sheet_says_what_it_lacks(sheet: str, says: str, tmp_path: Path) -> None:
     (tmp_path / "tui.toml").write_text(sheet)
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError, match=re.escape(says)):
         load_sheet(tmp_path)
-    assert says in str(refused.value)
 
 
 def test_things_show_themselves_in_few_words() -> None:
@@ -84,6 +83,9 @@ def test_things_show_themselves_in_few_words() -> None:
         (scenarios.load("tiny"), "Scenario('tiny': half a minute"),
     ):
         assert repr(thing).startswith(begin) and len(repr(thing)) < 600
+
+
+def test_packages_load_their_names_when_these_are_asked_for() -> None:
     assert sim.World.__name__ == "World" and scenarios.Scenario.__name__ == "Scenario"
     for package in (sim, scenarios):
         with pytest.raises(AttributeError, match="no attribute 'nothing'"):
