@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellslam import scenarios, sim
+from cellslam import benchmarks, scenarios, sim
 from cellslam.benchmarks.bound.shared_maps import shared_map_bounds
 from cellslam.benchmarks.tables.consistency import consistency
 from cellslam.recordings.adapters.tui_files import load_sheet, opened
@@ -40,6 +40,9 @@ def city_of(corners: Any, triangles: Any = ((0, 1, 2),)) -> Any:
         (lambda: scenarios.load("tiny", {"vehicle.distance_m": np.nan}), "vehicle.distance_m = nan: must be a finite"),
         (lambda: scenarios.load("tiny", {"city.block_size_m": 400.0}), "block_size_m 400.0 is more than half of ext"),
         (lambda: scenarios.load("x" * 5000), "unknown scenario"),
+        (lambda: scenarios.load("tiny", {"city.kind": "round"}), "city.kind = 'round': must be 'procedural' or 'mesh'"),
+        (lambda: scenarios.load("tiny", {"vehicle.waypoints_m": []}), "needs at least 2 items, not 0"),
+        (lambda: scenarios.load("tiny", {"vehicle.waypoints_m": [[np.inf, 0.0]]}), "must be a finite number"),
         (lambda: drive_through(np.zeros((9, 3)), 0.1), "are one place: give those of a drive, in order"),
         (lambda: list(shared_map_bounds([replace(DRIVE, truth=None)])), "no truth: the bound needs it"),
         (lambda: consistency("nowhere", times=0), "times = 0: must be at least 1"),
@@ -87,6 +90,6 @@ def test_things_show_themselves_in_few_words() -> None:
 
 def test_packages_load_their_names_when_these_are_asked_for() -> None:
     assert sim.World.__name__ == "World" and scenarios.Scenario.__name__ == "Scenario"
-    for package in (sim, scenarios):
+    for package in (sim, scenarios, benchmarks):
         with pytest.raises(AttributeError, match="no attribute 'nothing'"):
             package.__getattr__("nothing")

@@ -23,7 +23,7 @@ class FastSlamOptions(EkfSlamOptions):
 
     particles: int = Field(300, ge=1, le=1_000_000, description="number of particles, shared by all groups")
     lag: int = Field(
-        5,
+        20,
         ge=-1,
         le=NEVER,
         description="blocks of snapshots after which the odometry's noise is drawn; -1: before its own block is used "

@@ -99,6 +99,19 @@ def test_replay_refuses_what_a_recording_fixes(drive: Path, cellslam: Run) -> No
     refused(cellslam(*REPLAY, "--quiet", "--set", "radio.load=0.1"), "radio.load")
 
 
+@pytest.mark.slow
+def test_responses_stand_beside_the_recording(tmp_path: Path, cellslam: Run) -> None:
+    keys = ("radio.front_end=signal", "vehicle.duration_s=12", "vehicle.snapshot_interval_s=1",
+            "vehicle.distance_m=4", "vehicle.stops=0")  # fmt: skip
+    words = [word for key in keys for word in ("--set", key)]
+    assert cellslam("record", "tiny", "--out", "a.h5", "--responses", *words).status == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a-responses.h5", "a.h5"]
+
+
+def test_trials_are_counted_from_zero(cellslam: Run) -> None:
+    refused(cellslam("record", "tiny", "--out", "a.h5", "--trial", -1), "trial = -1: must be 0 or more")
+
+
 def test_responses_are_of_signals_and_refused_before_anything_is_simulated(tmp_path: Path, cellslam: Run) -> None:
     refused(cellslam("record", "tiny", "--out", "a.h5", "--responses"), "radio.front_end=signal")
     assert not list(tmp_path.iterdir())

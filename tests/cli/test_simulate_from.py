@@ -86,11 +86,17 @@ def test_a_drive_through_a_grid(places: Path, cellslam: Run) -> None:
         (["p.npz", "tiny"], "say another --polarisation"),
         (["p", "tiny", "--set", "vehicle.snapshot_interval_s=0.005", "--along", "far.csv"], "be a drive, in order"),
         (["p", "tiny", "--set", "radio.carrier_hz=3.5e9"], "was traced at 2.66e+09 Hz"),
+        (["p", "tiny", "--set", "radio.late_probability=0.1"], "--set radio.late_probability=0"),
+        (["p", "tiny", "--along", "one.csv"], "has 1 receivers: give those of a drive"),
+        (["p", "tiny", "--tolerance", "5,95"], "is out of range: metres above 0"),
+        (["p", "tiny", "--tolerance", "wide"], "'wide' is no METRES,DEGREES, as in 5,10"),
+        (["nowhere", "tiny"], "no such file or folder; give Sionna RT's paths as .npz, or a DeepMIMO folder"),
     ],
 )
 def test_what_does_not_fit(places: Path, words: list[str], text: str, cellslam: Run) -> None:
     rows = np.loadtxt(places / "rx.csv", delimiter=",", skiprows=1)[::40]
-    np.savetxt("far.csv", rows, "%.6f", ",", header="x,y,z", comments="")
+    for name, kept in (("far.csv", rows), ("one.csv", rows[:1])):
+        np.savetxt(name, kept, "%.6f", ",", header="x,y,z", comments="")
     refused(cellslam("simulate-from", places / words[0], *words[1:], "--out", "a.h5", "--quiet"), text)
     assert not Path("a.h5").exists()
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.io import savemat
 
 from cellslam.recordings.exporting.tables import write_tables
 from cellslam.recordings.importing.campaign import Campaign, build
@@ -267,6 +268,25 @@ def test_mat_73_is_read_as_mat_5(toy_recording: Toy, tmp_path: Path) -> None:
     second = import_folder(folder)
     assert second.measurements.distance_m.tobytes() == first.measurements.distance_m.tobytes()
     assert second.odometry.tobytes() == first.odometry.tobytes()
+
+
+def test_matlab_names_cells_structs_and_what_is_empty(tmp_path: Path) -> None:
+    pair = np.array([(1.0,), (2.0,)], [("x", object)])
+    savemat(tmp_path / "old.mat", {"text": np.array(["ab", "cd"]), "pair": pair})
+    old = variables(tmp_path / "old.mat")
+    assert old["text"] == ["ab", "cd"] and [float(item["x"].item()) for item in old["pair"]] == [1.0, 2.0]
+    with pytest.raises(InputError, match=r"no variable 'pairs'.*pair.* \(it has: pair, text\)"):
+        variables(tmp_path / "old.mat", ("pairs",))
+    with h5py.File(tmp_path / "new.mat", "w") as file:
+        for name, kind in (("char", "char"), ("cell", "cell"), ("double", "double")):
+            file[name] = np.array([0, 3], np.uint64)
+            file[name].attrs.update({"MATLAB_class": np.bytes_(kind), "MATLAB_empty": 1})
+        file["name"] = np.array([[ord(letter)] for letter in "drive"], np.uint16)
+        file["name"].attrs["MATLAB_class"] = np.bytes_("char")
+        file["both"] = np.array([file[place].ref for place in ("name", "char")], h5py.ref_dtype)
+    new = variables(tmp_path / "new.mat")
+    assert new["char"] == "" and new["cell"] == [] and new["double"].shape == (0, 3)
+    assert new["name"] == "drive" and new["both"] == ["drive", ""]
 
 
 def test_delays_in_samples(campaign: Path) -> None:

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numba
@@ -101,6 +102,28 @@ def test_old_folders_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         os.utime(folder, (edit, edit))
         made.append(folder)
     assert [folder.exists() for folder in made] == [False] * 2 + [True] * (compiling.KEPT + 1)
+
+
+def test_where_no_folder_can_be_written_the_cache_is_of_this_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "chosen"))
+    assert compiling._base.__wrapped__() == tmp_path / "chosen" / "kernels"
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr(compiling, "private_folder", lambda _: None)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    folder = compiling._base.__wrapped__()
+    assert folder.parent == tmp_path and folder.is_dir() and folder.name.startswith("cellslam-")
+
+
+def test_a_plain_part_is_compiled_by_numba(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiling, "PLAIN", True)
+
+    @compiling.lean
+    def tripled(x: int) -> int:
+        return 3 * x
+
+    assert tripled(2) == 6 and len(tripled.signatures) == 1
 
 
 @compiling.part

@@ -92,8 +92,24 @@ def test_a_world_without_the_swept_key_stands_apart(folder: Path, other: float |
     if other == 2.0:
         assert [at for at, _ in lines["fastslam"]] == [0.01, 2.0]
         assert [at for at, _ in lines["fastslam, without radio.load"]] == [None]
+        figure = Figure()
+        assert draw_curve(figure, load(folder), CurveChoice(), "radio.load")
+        (level,) = (line for line in figure.axes[0].get_lines() if "fastslam, without" in str(line.get_label()))
+        assert list(level.get_ydata()) == [1.0, 1.0]  # the same everywhere
     else:
         assert {at for at, _ in lines["fastslam"]} == {"0.01", "a text", "-"}
+
+
+def test_along_what_is_no_number_nothing_leads_from_one_to_the_next(tmp_path: Path) -> None:
+    fronts = ["statistical", "signal"]
+    made = plan_of({"grid": {"radio.front_end": fronts}}, ("dead-reckoning", "fastslam"), 3)
+    made_up(tmp_path, made, lambda task, _: {"position_rmse_m": 1.0 + task.trial, "bound_position_rmse_m": 0.5})
+    figure = Figure()
+    assert draw_curve(figure, load(tmp_path), CurveChoice(), "radio.front_end")
+    (axes,) = figure.axes
+    assert sorted(label.get_text() for label in axes.get_xticklabels()) == sorted(fronts)
+    assert {line.get_linestyle() for line in axes.get_lines() if len(line.get_xdata()) == 2} == {"None"}
+    assert axes.get_yscale() == "log"
 
 
 def test_a_sweep_without_trajectories_or_numbers_gives_what_it_can(tmp_path: Path) -> None:

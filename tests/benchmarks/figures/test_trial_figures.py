@@ -15,6 +15,7 @@ from cellslam.benchmarks.figures.trial import trial_figures
 from cellslam.benchmarks.figures.trial import trial_map as overview
 from cellslam.benchmarks.figures.trial.trial_figures import draw_all
 from cellslam.benchmarks.scores.trial_result import TrialResult
+from cellslam.benchmarks.tables.consistency import claimed_by
 from cellslam.sim.recording import Reference
 from cellslam.slam.api import VtEstimate, WallEstimate
 
@@ -97,6 +98,13 @@ def test_error_figure_shows_errors_and_bound(scene):
             np.testing.assert_allclose(lines[label].get_ydata(), error)
     assert magnified.get_ylim() == (0, pytest.approx(1.1 * np.sqrt(0.08)))
     assert not trial_figures.draw_error(Figure(), dataclasses.replace(scene.recording, truth=None), scene.results, None)
+
+
+def test_what_is_claimed_is_how_far_inside_the_truth_lies(scene):
+    claimed = claimed_by(scene.recording, scene.results["fastslam"])  # 0.1 m off in x and y, with deviations of 1 m
+    np.testing.assert_allclose(claimed.position, 1.0 - np.exp(-0.01))
+    np.testing.assert_allclose(claimed.clock, 0.0)
+    assert len(claimed.position) == len(claimed.heading) == len(claimed.clock) == len(scene.recording.time_s)
 
 
 def test_association_figure_colours_each_vt_and_greys_the_rest(scene):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -49,3 +50,12 @@ def test_a_60_ghz_file_that_lacks_something(tmp_path: Path) -> None:
     savemat(tmp_path / NAME, {"sim": {"rx": np.zeros((3, 2))}})
     with pytest.raises(InputError, match="'sim' has no field 'tx'"):
         import_adapter(tmp_path, "tampere-60ghz")
+    cells = np.empty((1, 2), object)
+    cells[0, :] = [np.zeros((3, 4)), np.zeros((2, 4))]
+    for rx, text in (
+        (np.zeros((3, 5)), "(3, 5), expected (3, 2) as sim.y"),
+        (np.zeros((3, 2)), "cell 1 has shape"),
+    ):
+        savemat(tmp_path / NAME, {"sim": {"rx": rx, "tx": np.zeros(3), "y": cells}})
+        with pytest.raises(InputError, match=re.escape(text)):
+            import_adapter(tmp_path, "tampere-60ghz")

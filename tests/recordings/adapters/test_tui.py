@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cellslam.recordings.adapters.adapter_loading import import_adapter
-from cellslam.recordings.adapters.tui_files import NAME, load_sheet
+from cellslam.recordings.adapters.tui_files import NAME, load_sheet, opened
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation
 from cellslam.sim.lte.array import CircularArray
@@ -187,6 +187,8 @@ def test_paths_found_in_frequency_responses(drive: Any, tmp_path: Path) -> None:
         (SHEET + PATHS.replace("AzimuthRx", "Azimuth"), "has no data set 'Results/Azimuth'"),
         (SHEET.replace("clock_offset_std_m = 100\n", "") + PATHS, "clock_offset_std_m"),
         (SHEET + PATHS.replace("sign = -1, zero_deg = 0 ", "sign = -1 "), "zero_deg"),
+        (SHEET.split("[location]")[0] + PATHS, "odometry = 'simulated' needs [location] with its yaw"),
+        (SHEET.split("[location]")[0].replace("simulated", "none") + PATHS + "[transmitter]\n", "needs [location]"),
     ],
 )
 def test_what_is_unknown_is_asked(drive: Any, tmp_path: Path, sheet: str, text: str) -> None:
@@ -198,6 +200,15 @@ def test_what_is_unknown_is_asked(drive: Any, tmp_path: Path, sheet: str, text: 
     with pytest.raises(InputError) as refused:
         imported(tmp_path, sheet)
     assert text in str(refused.value)
+
+
+def test_dimensions_without_labels_are_named_in_the_sheet(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["x"] = np.zeros((2, 3))
+    with opened(tmp_path / "a.h5", {}) as container:
+        assert container.axes("x", ("Tx", "Rx")) == ("Tx", "Rx")
+        with pytest.raises(InputError, match="x has 2 dimensions without labels; name them in the sheet"):
+            container.axes("x")
 
 
 def test_the_sheet_of_the_page(tmp_path: Path) -> None:

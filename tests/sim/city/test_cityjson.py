@@ -79,3 +79,12 @@ def test_bad_files_are_refused_in_one_line(tmp_path, change, message):
     with pytest.raises(InputError, match=message) as error:
         load(path)
     assert "\n" not in str(error.value)
+
+
+def test_triangles_are_taken_and_rings_of_two_corners_left(tmp_path):
+    document = copy.deepcopy(HOUSE)
+    boundaries = document["CityObjects"]["part"]["geometry"][1]["boundaries"][0]
+    wall = boundaries[0][0]  # as two triangles
+    boundaries[:1] = [[wall[:3]], [[wall[0], *wall[2:]]], [wall[:2]]]
+    (tmp_path / "house.city.json").write_text(json.dumps(document))
+    assert len(load(tmp_path / "house.city.json").facets) == 10

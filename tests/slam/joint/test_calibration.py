@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.bound.cramer_rao import bound
-from cellslam.benchmarks.scores.array_calibration import field_map
+from cellslam.benchmarks.scores.array_calibration import drawn, field_map
 from cellslam.benchmarks.trials.answers import calibration_of, decoded, encoded, plain_calibration
 from cellslam.scenarios.estimator_options import resolve
+from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Recording
@@ -97,6 +98,13 @@ def test_what_is_found_is_nearer_to_the_truth_than_the_prior(
     apart = (field.mean - field.truth)[there] / field.std[there]
     assert (field.std[there] <= calibration.size * (1.0 + 1e-9)).all() and field.std[there].min() < calibration.size[0]
     assert 0.4 < np.sqrt(np.mean(apart**2)) < 1.8
+
+
+def test_without_a_field_that_was_drawn_there_is_no_truth() -> None:
+    signal = load("tiny", {"radio.front_end": "signal"}).world.model_dump(mode="json")
+    other = {"world": signal | {"radio": {"load": 7}}, "seed": 0, "trial": 0}
+    for provenance in ({}, other, {"world": signal, "seed": 0, "trial": 0}):
+        assert drawn(provenance, np.zeros((2, 2))) is None
 
 
 def test_file_and_message_give_back_what_was_given(calibration: Calibration, tmp_path: Path) -> None:

@@ -132,6 +132,21 @@ def test_a_broken_file_is_one_line(change: Callable[[h5py.File], None], tmp_path
     assert "\n" not in str(raised.value) and str(path) in str(raised.value)
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda m: {"anchor_m": m.position_m}, "a VT's position equals its anchor"),
+        (lambda m: {"hits": m.hits - 99}, "write whole numbers from 0 on"),
+        (lambda m: {"own_m2": m.own_m2 + np.triu(np.ones((3, 3)), 1)}, "that of VT 0 is not symmetric"),
+        (lambda m: {"own_m2": m.own_m2 - np.eye(3)}, "that of VT 0 has a negative eigenvalue"),
+    ],
+)
+def test_a_map_that_cannot_be_says_why(change: Callable[[VtMap], dict[str, Any]], says: str) -> None:
+    made = some_map(1, np.random.default_rng(2))[0]
+    with pytest.raises(InputError, match=says):
+        replace(made, **change(made)).check()
+
+
 def test_no_file_and_a_truncated_one_say_what_writes_one(tmp_path: Path) -> None:
     path = tmp_path / "map.h5"
     with pytest.raises(InputError, match="no such file; 'cellslam run --save-map FILE' writes one"):

@@ -230,6 +230,16 @@ def test_a_path_over_two_parallel_walls_is_of_both(one_filter):
     np.testing.assert_allclose(wall_images.off(f, double).value, 0.0, atol=1e-9)
 
 
+def test_double_reflections_are_imposed_once_when_walls_are_joined(one_filter):
+    f, _ = filter_of(one_filter, canyon_of(over_both()), 0.3)
+    facades, before = facades_of(f), np.trace(f.p)
+    facades.join(f)
+    after = np.trace(f.p)
+    facades.join(f)
+    assert after < before and np.trace(f.p) == after
+    assert len(facades.estimate(f, 3)) == 3  # the double reflection is no wall of its own
+
+
 @pytest.mark.parametrize(
     "more",
     [

@@ -65,6 +65,8 @@ def test_scatterers_carry_the_diffuse_power_and_stand_still(scatterers: int) -> 
     assert abs(np.mean(power) / 10.0**-0.6 - 1.0) < 0.06
     near = Surroundings(3, 6.0).add(paths, HERE + np.array([0.5, 0.3, 0.0]))
     np.testing.assert_array_equal(near.vt_m, Surroundings(3, 6.0).add(paths, HERE).vt_m)
+    none = PathColumns(np.zeros(2, int), np.zeros((0, 3)), np.zeros((0, 2, 2)), np.zeros((0, 2)))
+    assert Surroundings(3, 6.0).add(none, HERE) is none
 
 
 @pytest.mark.parametrize(
