@@ -41,6 +41,7 @@ def city_of(corners: Any, triangles: Any = ((0, 1, 2),)) -> Any:
         (lambda: scenarios.load("tiny", {"city.block_size_m": 400.0}), "block_size_m 400.0 is more than half of ext"),
         (lambda: scenarios.load("x" * 5000), "unknown scenario"),
         (lambda: scenarios.load("tiny", {"city.kind": "round"}), "city.kind = 'round': must be 'procedural' or 'mesh'"),
+        (lambda: scenarios.load("tiny", {"city": {}}), "'city.kind' is missing"),
         (lambda: scenarios.load("tiny", {"vehicle.waypoints_m": []}), "needs at least 2 items, not 0"),
         (lambda: scenarios.load("tiny", {"vehicle.waypoints_m": [[np.inf, 0.0]]}), "must be a finite number"),
         (lambda: drive_through(np.zeros((9, 3)), 0.1), "are one place: give those of a drive, in order"),

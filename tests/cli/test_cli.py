@@ -109,6 +109,7 @@ WRONG: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "record": (("record", "tiny", "--out", "none/a.h5"), ("no folder none",)),
     "replay": (("replay", "none.h5"), ("none.h5: no such file",)),
     "snapshot": (("bench", "snapshot", "tiny", "--at", "100000"), ("the drive has snapshots 0 to",)),
+    "picture": (("bench", "snapshot", "tiny", "--out", "a.pdf"), ("give the name of a .png file",)),
 }
 
 

@@ -14,6 +14,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from cellslam.recordings.adapters.tui_files import opened
+from cellslam.recordings.importing import matlab
 from cellslam.recordings.importing.importing import import_folder
 from cellslam.recordings.importing.matlab import variables
 from cellslam.sim.errors import InputError
@@ -227,6 +229,24 @@ def test_matlab_files_that_point_elsewhere_are_refused(
         file["x"] = np.arange(3.0)
     point(path, other)
     with pytest.raises(InputError, match=rf"a\.mat: .*{text}"):
+        variables(path)
+
+
+def test_a_file_of_a_campaign_that_points_elsewhere_is_refused(tmp_path: Path) -> None:
+    link(tmp_path / "a.h5", tmp_path / "b.h5")
+    with pytest.raises(InputError, match=r"a\.h5: .*link into the file"), opened(tmp_path / "a.h5", {}):
+        pass
+
+
+def test_what_crashes_or_stalls_scipy_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.mat"
+    path.touch()
+    monkeypatch.setattr(matlab, "_READ", "import os; os.abort()")
+    with pytest.raises(InputError, match="a.mat: damaged: SciPy crashes on it .SIGABRT.; export it again"):
+        variables(path)
+    monkeypatch.setattr(matlab, "_READ", "import time; time.sleep(60)")
+    monkeypatch.setattr(matlab, "LIMIT_S", 0.3)
+    with pytest.raises(InputError, match="it was not read in 0 s"):
         variables(path)
 
 

@@ -103,7 +103,8 @@ def test_what_is_found_is_nearer_to_the_truth_than_the_prior(
 def test_without_a_field_that_was_drawn_there_is_no_truth() -> None:
     signal = load("tiny", {"radio.front_end": "signal"}).world.model_dump(mode="json")
     other = {"world": signal | {"radio": {"load": 7}}, "seed": 0, "trial": 0}
-    for provenance in ({}, other, {"world": signal, "seed": 0, "trial": 0}):
+    lost = signal | {"radio": {"statistics_file": "gone.json"}}  # whoever shows a file of others has not asked for it
+    for provenance in ({}, other, *({"world": world, "seed": 0, "trial": 0} for world in (signal, lost))):
         assert drawn(provenance, np.zeros((2, 2))) is None
 
 
