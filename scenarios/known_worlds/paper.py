@@ -69,8 +69,8 @@ WORLD = KnownWorld(
         _rung("+ a site's links fused", sharing="site"),
         _rung("+ variances raised for lasting errors", sharing="site", noise="persisting"),
         _rung("+ one gain for all, lasting errors as states", "fastslam", particles=100, lag=0),
-        _rung("+ noise drawn 20 blocks later", "fastslam", particles=100, lag=20),
-        _rung("+ 300 particles in place of 100: fastslam", "fastslam", particles=300, lag=20),
+        _rung("+ noise drawn five blocks later", "fastslam", particles=100, lag=5),
+        _rung("+ 300 particles in place of 100", "fastslam", particles=300, lag=5),
     ),
     city=city,
 )  # fmt: skip
