@@ -22,6 +22,7 @@ WHITE = NOTHING_PERSISTS | {
     "pitch_deg": 0.0,
     "roll_deg": 0.0,
 }
+SHORT = WHITE | {"lag": 5}  # drives of a few seconds end before the default lag has passed
 
 
 def street(snapshots: int, seed: int, noise: Floats | None = None) -> Drive:

@@ -18,7 +18,7 @@ from cellslam.slam.fastslam import parts
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.parts import BUILT_IN, NO_VT, Candidates, Transmitters
-from tests.slam.fastslam.drives import WHITE, driven, street
+from tests.slam.fastslam.drives import SHORT, driven, street
 
 PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "replace-parts-of-fastslam.md"
 OWN = {
@@ -100,7 +100,7 @@ def test_pruning() -> None:
 
 @pytest.mark.parametrize("slot, name", [(slot, name) for slot, some in BUILT_IN.items() for name in list(some)[1:]])
 def test_each_built_in_part_runs(slot: str, name: str) -> None:
-    options = FastSlamOptions(particles=20, effective_share=1.0, **{slot: name}, **WHITE)
+    options = FastSlamOptions(particles=20, effective_share=1.0, **{slot: name}, **SHORT)
     answer = driven(FastSlam(options), street(60, seed=2))[-1]
     assert np.linalg.norm(answer.pose[:2] - [5.9, 0.0]) < 1.0
     assert answer.vts is not None and len(answer.vts.id) == 4
@@ -112,9 +112,9 @@ def test_each_part_of_the_documentation_runs(slot: str, tmp_path: Path, monkeypa
     monkeypatch.setattr(sys, "path", [place for place in sys.path if place])  # as of the installed command
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "my_parts", raising=False)
-    by_name = FastSlam(FastSlamOptions(particles=20, effective_share=1.0, **{slot: f"my_parts:{OWN[slot]}"}, **WHITE))
+    by_name = FastSlam(FastSlamOptions(particles=20, effective_share=1.0, **{slot: f"my_parts:{OWN[slot]}"}, **SHORT))
     part = getattr(sys.modules["my_parts"], OWN[slot])
-    as_object = FastSlam(FastSlamOptions(particles=20, effective_share=1.0, **WHITE), **{slot: part})
+    as_object = FastSlam(FastSlamOptions(particles=20, effective_share=1.0, **SHORT), **{slot: part})
     drive = street(40, seed=2)
     one, other = driven(by_name, drive)[-1], driven(as_object, drive)[-1]
     np.testing.assert_array_equal(one.pose, other.pose)
@@ -138,7 +138,7 @@ def test_wrong_parts_are_told_what_there_is() -> None:
     with pytest.raises(
         InputError, match=r"association: the part returned the numbers 7 to 7, where -1 to 0|1|2|3 may be"
     ):
-        driven(FastSlam(FastSlamOptions(**WHITE), association=lambda given: [[7] * 4]), street(5, seed=1))
+        driven(FastSlam(FastSlamOptions(**SHORT), association=lambda given: [[7] * 4]), street(5, seed=1))
 
 
 @pytest.mark.parametrize(
@@ -155,13 +155,13 @@ def test_wrong_parts_are_told_what_there_is() -> None:
     ],
 )
 def test_a_part_that_returns_something_else_is_told_what_is_needed(slot: str, part: Any, words: str) -> None:
-    estimator = FastSlam(FastSlamOptions(particles=20, effective_share=1.0, **WHITE), **{slot: part})
+    estimator = FastSlam(FastSlamOptions(particles=20, effective_share=1.0, **SHORT), **{slot: part})
     with pytest.raises(InputError, match=f"{slot}: .*({words})"):
         driven(estimator, street(60, seed=1))
 
 
 def test_parts_that_were_never_called_are_remarked() -> None:
-    estimator = FastSlam(FastSlamOptions(**WHITE), resampling=parts.SCHEMES["residual"])
+    estimator = FastSlam(FastSlamOptions(**SHORT), resampling=parts.SCHEMES["residual"])
     setup, steps = street(3, seed=1)
     driven(estimator, (replace(setup, sites=Sites(("A",), np.zeros(1), np.full(1, 50.0))), steps))
     assert any("resampling: never called" in line for line in estimator.remarks())
@@ -169,7 +169,7 @@ def test_parts_that_were_never_called_are_remarked() -> None:
 
 def test_a_part_that_is_never_called_while_others_are_is_remarked_with_what_it_waited_for() -> None:
     given = {"association": parts.nearest_neighbour, "resampling": parts.SCHEMES["residual"]}
-    estimator = FastSlam(FastSlamOptions(particles=20, effective_share=0.01, **WHITE), **given)
+    estimator = FastSlam(FastSlamOptions(particles=20, effective_share=0.01, **SHORT), **given)
     estimator.warm_up()  # what is called there does not count
     driven(estimator, street(30, seed=2))
     (remark,) = [line for line in estimator.remarks() if "never called" in line]
@@ -177,7 +177,7 @@ def test_a_part_that_is_never_called_while_others_are_is_remarked_with_what_it_w
         "resampling: cellslam.slam.model.resampling:residual was never called, while others were: "
     )
     assert "effective_share" in remark
-    eager = FastSlam(FastSlamOptions(particles=20, effective_share=1.0, **WHITE), **given)
+    eager = FastSlam(FastSlamOptions(particles=20, effective_share=1.0, **SHORT), **given)
     driven(eager, street(30, seed=2))
     assert not [line for line in eager.remarks() if "never called" in line]
 
@@ -188,7 +188,7 @@ def failing(W: Any) -> Any:
 
 
 def test_an_error_inside_a_part_says_which_part_it_is_and_the_line_of_it() -> None:
-    estimator = FastSlam(FastSlamOptions(particles=20, **WHITE), weight=failing)
+    estimator = FastSlam(FastSlamOptions(particles=20, **SHORT), weight=failing)
     with pytest.raises(AttributeError) as caught:
         driven(estimator, street(30, seed=2))
     line = failing.__code__.co_firstlineno + 2

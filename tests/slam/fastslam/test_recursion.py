@@ -16,7 +16,7 @@ from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.state.layout import one_of
 from cellslam.slam.oracles import FastSlamKnownAssociation, KnownAssociation
 from tests.slam import driving
-from tests.slam.fastslam.drives import WHITE, driven, street
+from tests.slam.fastslam.drives import SHORT, WHITE, driven, street
 
 PLANE = [0, 1, 3]
 
@@ -86,7 +86,7 @@ def test_resampling_is_called_where_weights_are_unequal() -> None:
     driven(FastSlam(FastSlamOptions(particles=30, lag=0, **WHITE), resampling=likeliest_alone), drive)
     assert sizes and max(sizes) < 0.5 * 30
     sizes.clear()
-    driven(FastSlam(FastSlamOptions(particles=30, effective_share=0.0, **WHITE), resampling=likeliest_alone), drive)
+    driven(FastSlam(FastSlamOptions(particles=30, effective_share=0.0, **SHORT), resampling=likeliest_alone), drive)
     assert not sizes
 
 
@@ -105,14 +105,14 @@ def test_one_gain_does_as_well_as_gains_of_their_own() -> None:
         drive, log_weight, poses = street(40, seed), [], []
         for particle in range(30):
             weight = Remembering()
-            own = FastSlam(FastSlamOptions(particles=1, **WHITE), weight=weight)
+            own = FastSlam(FastSlamOptions(particles=1, **SHORT), weight=weight)
             poses.append(driven(own, drive, particle)[-1].pose[PLANE])
             log_weight.append(weight.total)
         shares = np.exp(np.array(log_weight) - max(log_weight))
         shares /= shares.sum()
         mean = shares @ np.array(poses)
         spread = np.sqrt(shares @ (np.array(poses) - mean) ** 2)
-        one = driven(FastSlam(FastSlamOptions(particles=2000, **WHITE)), drive)[-1]
+        one = driven(FastSlam(FastSlamOptions(particles=2000, **SHORT)), drive)[-1]
         few = 1.0 / np.sum(shares**2)
         assert few > 3.0 and (np.abs(one.pose[PLANE] - mean) < 4.0 * spread / np.sqrt(few)).all()
 
